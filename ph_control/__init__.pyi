@@ -58,13 +58,11 @@ from .identification.data.data_frames import recording as recording
 from .identification.excitation.excitation import excitation as excitation
 from .identification.excitation.report import Excitation as Excitation
 from .identification.fit.bootstrap import Bootstrap as Bootstrap
-from .identification.fit.damped_result import DampedResult as DampedResult
 from .identification.fit.gradient import GradientResult as GradientResult
 from .identification.fit.gradient import gradient_descent as gradient_descent
-from .identification.fit.lossless_result import LosslessResult as LosslessResult
 from .identification.fit.pem import pem as pem
 from .identification.fit.pem import prediction_error_fit as prediction_error_fit
-from .identification.fit.result import PEMResult as PEMResult
+from .identification.fit.pem_result import PEMResult as PEMResult
 from .identification.fit.stabilisation import Stabilisation as Stabilisation
 from .identification.many.fit_many import RecordingFitted as RecordingFitted
 from .identification.many.fit_many import fit_many as fit_many
@@ -75,7 +73,6 @@ from .identification.regression.prediction import FittedExperiment as FittedExpe
 from .identification.regression.prediction import ResponseBackground as ResponseBackground
 from .identification.search.order_selection import OrderSelection as OrderSelection
 from .identification.search.order_selection import order_selection as order_selection
-from .identification.uncertainty.draws import ModeSamples as ModeSamples
 from .identification.uncertainty.modal_draws import ModalSamples as ModalSamples
 from .identification.validation.comparison import Comparison as Comparison
 from .identification.validation.comparison import compare as compare

@@ -65,7 +65,7 @@ def test_paper_experiments_are_continued_to_1e_8_over_the_next_4000_samples(name
     y = euler_recording(A, B, C, z0, u)
     n = {"circuit": 5, "chain": 2}[name]
     result = phc.pem((u[:1000], y[:1000]), n if order == "true" else order, dt=0.01, method="euler")
-    ahead = result.predict(u[1000:], initial_state=result.final_state).outputs
+    ahead = result.predict(u[1000:], initial_state="final").outputs
     assert np.abs(ahead - y[1000:]).max() <= 1e-8 * np.abs(y[1000:]).max()
     # the five equal branches are one mode seen from the port; the order that was asked for is kept
     assert result.order == (n if order == "true" else {"circuit": 1, "chain": 2}[name])
@@ -387,7 +387,7 @@ def test_prediction_starts_where_it_is_told():
     assert np.abs(result.predict(u).outputs - y).max() < scale
     assert np.abs(result.predict((u, y)).outputs - y).max() < scale
     assert np.abs(result.predict((u[400:], y[400:])).outputs - y[400:]).max() < scale
-    assert np.abs(result.predict(u[800:], initial_state=result.final_state).outputs - y[800:]).max() < scale
+    assert np.abs(result.predict(u[800:], initial_state="final").outputs - y[800:]).max() < scale
     from_rest = phc.forced_response(plant, 0.1 * np.arange(1200), u, intersample="zoh").outputs
     assert np.abs(result.predict(u, initial_state="zero").outputs - from_rest).max() < scale
     assert np.abs(from_rest - y).max() > 1e3 * scale
@@ -629,7 +629,7 @@ def test_a_record_that_goes_on_is_predicted_from_where_it_ended(method, intersam
     ahead = result.predict(u[6000:], initial_state="final").outputs
     assert np.abs(ahead - y[6000:]).max() < 1e-7 * np.abs(y).max()
     if intersample == "zoh":
-        assert np.array_equal(result.predict(u[6000:], initial_state=result.final_state).outputs, ahead)
+        assert np.array_equal(result.predict(u[6000:], initial_state="final").outputs, ahead)
     else:
         with pytest.raises(phc.StructureError, match="depends on the next input sample"):
             _ = result.final_state

@@ -17,15 +17,12 @@ from .outcome import DONE, emit
 
 _FIT = (
     "verdict", "message", "order", "structure", "fit_percent", "time_unit", "loss", "loglik", "aic", "bic", "whiteness",
-    "success", "intersample", "quantity", "natural_frequencies", "damping_ratios",
+    "success", "intersample", "method", "quantity", "blind", "natural_frequencies", "damping_ratios", "real_poles",
 )  # fmt: skip
-_LOSSLESS = ("active", "unseen", "rank_deficiency", "method", "representation")
 _MODAL = (
     "poles", "residues", "feedthrough", "shapes", "participation", "shapes_scaled", "phase_collinearity",
     "noise_variance", "quantities", "delay",
 )  # fmt: skip
-_DAMPED = ("order", "fit_percent", "natural_frequencies", "damping_ratios", "residues", "feedthrough", "loss", "loglik",
-           "damped", "negative")  # fmt: skip
 
 
 def strict(value: Any, indent: int | None = 2) -> str:
@@ -58,9 +55,6 @@ def modes_of(form: Any) -> dict[str, Any]:
 
 def fit_of(result: Any) -> dict[str, Any]:
     """Fields of the result of a fit."""
-    from ..identification.fit.damped_result import DampedResult
-    from ..identification.fit.report import residue_errors
-
     answer = {
         **_fields(result, *_FIT),
         "described": is_described(result),
@@ -74,41 +68,24 @@ def fit_of(result: Any) -> dict[str, Any]:
         "experiments": [_experiment_of(one) for one in result.experiments],
         "order_table": [_fields(row, "order", "loss", "aic", "bic", "d") for row in result.order_table],
     }
-    if isinstance(result, DampedResult):
-        inputs, outputs = result.input_labels, result.output_labels
-        ports = [f"{outputs[o]}:{inputs[i]}" for o, i in result.ports]
-        return answer | _fields(result, *_MODAL) | {"inputs": inputs, "outputs": outputs, "ports": ports}
-    answer["stderr"]["kappa"] = residue_errors(result)
-    for told, one in zip(answer["experiments"], result.experiments, strict=True):
-        told |= {"input": one.record.input_label, "output": one.record.output_label}
-        told |= _fields(one, "initial_state", "offset", "drift")
-    return {
-        **answer,
-        **_fields(result, *_LOSSLESS),
-        **modes_of(result.modes),
-        "noise_std": result.noise.floor,
-        "iterations": result.n_iterations,
-        "damped": None if result.damped is None else _damped_of(result.damped),
-    }
+    inputs, outputs = result.input_labels, result.output_labels
+    ports = [f"{outputs[o]}:{inputs[i]}" for o, i in result.ports]
+    answer |= _fields(result, *_MODAL) | {"inputs": inputs, "outputs": outputs, "ports": ports}
+    if "r" in result.stderr:
+        answer |= _fields(result, "r", "kappa")
+    return answer
 
 
 def _fields(thing: Any, *names: str) -> dict[str, Any]:
     return {name: getattr(thing, name) for name in names}
 
 
-def _damped_of(model: Any) -> dict[str, Any]:
-    return {
-        **_fields(model, *_DAMPED),
-        "hertz": None if model.time_unit is None else model.hertz,
-        "stderr": dict(model.stderr),
-        "noise_std": math.sqrt(model.noise_variance),
-    }
-
-
 def _experiment_of(one: Any) -> dict[str, Any]:
     record = one.record
     missing = int((~record.observed).sum())
-    return {
+    moved = {name: getattr(one, name) for name in ("initial_state", "offset", "drift", "offsets", "drifts")
+             if hasattr(one, name)}  # fmt: skip
+    return moved | {
         "title": record.title, "samples": record.samples, "missing": missing, "step": getattr(record, "dt", None),
         "fit_percent": one.fit_percent,
     }  # fmt: skip

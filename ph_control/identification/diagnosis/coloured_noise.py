@@ -47,7 +47,7 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     """
     at = free.projection if free.measured is None else GivenResidues(free.measured, free.projection.shared)
     records = [one for one in at.experiments if isinstance(one, FreeRecord)]
-    if len(records) < len(at.experiments) or not free.order or free.rounding:
+    if len(records) < len(at.experiments) or not free.states or free.rounding:
         return free
     noise = noise_of(replace(free, projection=at), records)
     findings = tuple(one.finding for one in noise if one.finding is not None)

@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
-from ..._types import Array, ComplexArray, Mask
+from ..._types import Array
 from ...modal.discretization import Hold
 from ..data.channels import Recording
-from ..data.frequency_record import FrequencyRecord, InFrequency
+from ..data.frequency_record import InFrequency
 from ..data.time_record import Record
 from ..regression.free import by_poles
-from ..regression.frequency_rows import modal_columns
-from ..regression.time_rows import FreeRecord, RecordRows
+from ..regression.frequency_rows import FreeResponse, Term
+from ..regression.spectral_rows import stacked
+from ..regression.time_rows import FreeRecord
 
 
 @dataclass(frozen=True)
@@ -44,49 +45,63 @@ def same_data(one: Any, other: Any) -> bool:
     )
 
 
-def of_response(record: FrequencyRecord, d: Array, kappa: Array, weighted: Mask, quantity: str) -> Directions:
-    """Of a frequency response, complex."""
-    columns, slopes = modal_columns(d, record.omega, quantity)
-    return Directions(np.concatenate([kappa[:, None] * slopes, columns[weighted]]).T, np.zeros((record.samples, 0)))
+def of_response(data: Any, result: Any) -> Directions:
+    """Directions of a fit of one input and one output to a frequency response, complex, with its background."""
+    record, p = data.record, result.poles
+    rho = result.residues[:, 0, 0] * np.where(p.imag == 0, 0.5, 1.0)
+    terms = () if data.background is None else [
+        Term(int(power) - 2, turned)
+        for turned, part in ((False, data.background.coefficients.real), (True, data.background.coefficients.imag))
+        for power in np.flatnonzero(part.any(axis=(1, 2)))
+    ]  # fmt: skip
+    every = np.ones(record.samples)
+    rows = FreeResponse(record.omega, record.response[None], every, every > 0, result.quantities[0], terms=tuple(terms))
+    ahead, behind = rows.poles(p)
+    slopes = stacked((rho[:, None] * ahead**2, rho.conj()[:, None] * behind**2))
+    late = np.exp(-1j * record.omega * result.delay[0])
+    columns = late * np.concatenate([slopes, stacked((ahead, behind))])
+    return Directions(columns.T @ _tangent(result)[: len(columns)], (late * rows.background).T)
 
 
-def of_record(
-    record: Record, d: Array, kappa: Array, free: ComplexArray, weighted: Mask, moving: Mask, hold: Hold, quantity: str,
-    offset: int,
-) -> Directions:  # fmt: skip
-    """Of a record in time, with free amplitudes at the output; O(T n), and as much memory.
-
-    `weighted` are the modes whose residue is not held at 0, `moving` those whose free motion was estimated.
-    """
-    rows = RecordRows(record.u, record.y, record.observed, hold, quantity=quantity)
-    # without an input the forced columns are 0
-    by_d, forced, cosine, sine = np.split(rows.sensitivities(d, kappa, free), 4, axis=1)
-    parts = [cosine[:, moving], sine[:, moving]] if free.any() else []
-    parts.append(np.arange(float(record.samples))[:, None] ** np.arange(offset))
-    return Directions(np.concatenate([by_d, forced[:, weighted]], axis=1), np.concatenate(parts, axis=1))
-
-
-def of_damped_response(record: FrequencyRecord, p: ComplexArray, rho: ComplexArray, delay: float = 0.0) -> Directions:
-    """Of a frequency response and damped modes with residues (n,), complex."""
-    s, late = 1j * record.omega, np.exp(-1j * record.omega * delay)
-    ahead, behind = late / (s - p[:, None]), late / (s - p[:, None].conj())
-    slopes, mirrored = rho[:, None] * ahead**2 / late, rho.conj()[:, None] * behind**2 / late
-    pairs = ((ahead, behind), (slopes, mirrored))
-    columns = [part for one, other in pairs for part in (one + other, 1j * (one - other))]
-    return Directions(np.concatenate(columns).T, np.zeros((record.samples, 0)))
-
-
-def of_damped_record(
-    record: Record, p: ComplexArray, rho: ComplexArray, free: ComplexArray, hold: Hold, offset: int, through: bool,
-    delay: float = 0.0,
-) -> Directions:  # fmt: skip
-    """Of a record in time and damped modes with residues and free amplitudes (n,); O(T n), and as much memory."""
-    u, everywhere, n = record.u[None], np.ones(record.samples, bool), len(p)
+def of_record(data: Any, result: Any) -> Directions:
+    """Directions of a fit of one input and one output to a record in time; O(T n), and as much memory."""
+    record, p, n = data.record, result.poles, len(result.poles)
+    rho = result.residues[:, 0, 0] * np.where(p.imag == 0, 0.5, 1.0)  # a real pole has two halves
+    hold, offset = Hold(record.dt, result.method, result.intersample), int(np.isfinite(data.offset_stderr))
+    offset += data.drift != 0
+    everywhere, u = np.ones(record.samples, bool), record.u[None]
+    through = bool(result.feedthrough.any())
     whole = FreeRecord(u, 0 * u, everywhere, hold, offset=offset, through=through, driven=record.driven)
-    rows = whole.delayed(delay)
+    rows = whole.delayed(float(result.delay[0]))
     # what is not predicted depends on nothing
     columns = np.nan_to_num(rows.placed(np.concatenate(list(rows.at(p).blocks()), axis=1)))
     own, shared = rows.own_unknowns(n), rows.inputs * (2 * n + through)
-    motion = np.concatenate([0.5 * free.real, 0.5 * free.imag])
+    motion = 0.5 * np.concatenate([data.free_amplitudes.real, data.free_amplitudes.imag])
     moved = by_poles(columns[own + shared : -1].T, rows, motion, rho[:, None])  # motions at the first sample, nearly
-    return Directions(np.concatenate([columns[own : own + shared].T, moved], axis=1), columns[:own].T)
+    # by real, then imaginary parts of the poles, the residues, and what is fed through
+    every = np.concatenate([moved[:, n:], moved[:, :n], columns[own : own + shared].T], axis=1)
+    moves = data.free_amplitudes.any() or not record.driven
+    return Directions(every @ _tangent(result)[: every.shape[1]], columns[:own].T if moves else columns[2 * n : own].T)
+
+
+def _tangent(result: Any) -> Array:
+    """Basis of the directions that the structure allows, in real and imaginary parts of poles and residues, and D."""
+    n, p = len(result.poles), result.poles
+    d, zeta = np.abs(p), -p.real / np.where(p == 0, 1.0, np.abs(p))
+    known = ~np.isnan(np.diag(result.covariance))
+    covariance = np.where(known[:, None] & known, result.covariance, 0.0)
+    sizes = np.sqrt(np.diag(covariance))
+    scale = np.where(sizes > 0, sizes, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    basis = scale[:, None] * vectors[:, values > len(values) * _checks.EPS * values.max(initial=0.0)]
+    turn, l = np.sqrt(np.maximum(1 - zeta**2, 0.0)), np.arange(n)
+    J = np.zeros((len(basis), len(basis)))
+    J[l, l], J[l, n + l] = -zeta, -d
+    J[n + l, l] = turn
+    J[n + l, n + l] = np.where(turn > 0, -d * zeta / np.where(turn > 0, turn, 1.0), 0.0)
+    rest = np.arange(2 * n, len(basis))
+    half = np.append(np.tile(np.where(p.imag == 0, 0.5, 1.0), 2), np.ones(len(rest) - 2 * n))
+    J[rest, rest] = half
+    moved = J @ basis
+    lengths = np.linalg.norm(moved, axis=0)
+    return np.asarray(moved / np.where(lengths > 0, lengths, 1.0))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,9 +12,6 @@ from scipy.stats import norm, t
 from ..._types import Array
 from ..data.parts import Signal, blocks
 from ..data.time_record import LONG
-from ..regression.frequency_rows import FrequencyRows
-from ..regression.time_rows import RecordRows
-from ..regression.variable_projection import Problem
 
 _BY_CHANCE = 1e-4  # probability that noise alone shows one anywhere
 _FEWEST = 20  # residuals to spare below which nothing is said
@@ -74,21 +70,6 @@ def saturation(y: Signal) -> tuple[int, tuple[float, ...]]:
         if held:
             stuck, found = stuck + count, (*found, float(end))
     return stuck, found
-
-
-def without(problem: Problem, far: Sequence[tuple[int, ...]]) -> Problem:
-    """The problem without some samples of each experiment."""
-    rows: list[Any] = []
-    for one, places in zip(problem.experiments, far, strict=True):
-        if isinstance(one, RecordRows):
-            observed = one.observed.copy()
-            observed[list(places)] = False
-            rows.append(replace(one, observed=observed))
-        elif isinstance(one, FrequencyRows):
-            response = one.record.response.copy()
-            response[list(places)] = np.nan
-            rows.append(replace(one, record=replace(one.record, response=response)))
-    return replace(problem, experiments=tuple(rows))
 
 
 def _parts(residuals: NDArray[Any]) -> Array:

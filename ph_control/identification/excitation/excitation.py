@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +17,7 @@ from ...systems.port_hamiltonian import modes
 from ..data.experiments import as_experiments
 from ..data.time_record import Record
 from ..regression.modal_regressors import QUANTITIES
-from ..regression.time_rows import RecordRows
-from ..regression.variable_projection import Problem, Projection
-from ..uncertainty.fisher import Combination, Information, joint_information, model_information
+from ..uncertainty.fisher import Combination, Information, PortRecord, joint_information, model_information
 from .excited_band import ExcitedBand, excited_band
 from .remedy import input_remedy
 from .report import Excitation
@@ -121,7 +119,7 @@ def excitation(
     ]
     longest = max(range(len(problems)), key=lambda k: len(problems[k].u))
     problem, measured = problems[longest], [bool(record.observed.any()) for record in records]
-    most = min(_MOST, max(Problem(tuple(problems)).carried, _ALWAYS))
+    most = min(_MOST, max(_carried(problems), _ALWAYS))
     if _checks.is_whole(order):
         if order < 1:
             raise StructureError(f"order is {order}; a number of modes must be at least 1")
@@ -146,7 +144,7 @@ def excitation(
 
 
 def examine(
-    problem: RecordRows,
+    problem: PortRecord,
     d: Array,
     r: Array,
     amplitudes: ComplexArray,
@@ -188,18 +186,14 @@ def examine(
     return replace(found, remedies=_remedies(found, problem, amplitudes))
 
 
-def examine_fit(
-    at: Projection, information: Information, noise_std: float = np.nan, time_unit: str | None = None
-) -> Excitation:
-    """Judge a record at the end of a fit, with the information that the fit has."""
-    record = cast(RecordRows, at.problem.experiments[0])
-    return examine(
-        record, at.d, at.kappa / at.d, at.amplitudes(0), noise_std=noise_std, information=information,
-        time_unit=time_unit,
-    )  # fmt: skip
+def _carried(problems: list[PortRecord]) -> int:
+    """Largest number of modes for which there are more samples than unknowns."""
+    driven = any(one.driven for one in problems)
+    each = 1 + driven + 2 * sum(not one.from_rest for one in problems)
+    return max(0, (sum(one.samples for one in problems) - 1) // each)
 
 
-def _refuse_many(n: int, most: int, problems: list[RecordRows]) -> None:
+def _refuse_many(n: int, most: int, problems: list[PortRecord]) -> None:
     """Refuse more modes than the records carry or than can be judged together in acceptable time and memory."""
     if n > most:
         samples = sum(one.samples for one in problems)
@@ -218,12 +212,12 @@ def _in_time(records: tuple[Any, ...]) -> tuple[Record, ...]:
     return records
 
 
-def _problem(record: Record, hold: Hold, from_rest: bool, quantity: str) -> RecordRows:
+def _problem(record: Record, hold: Hold, from_rest: bool, quantity: str) -> PortRecord:
     """The data of a fit; without outputs, all of them are to be measured."""
     measured = bool(record.observed.any())
     observed = record.observed if measured else np.ones(record.samples, bool)
     y = record.y if measured else np.zeros(record.samples)
-    return RecordRows(record.u, y, observed, hold, from_rest, False, quantity, record.driven)
+    return PortRecord(record.u, y, observed, hold, from_rest and record.driven, quantity, record.driven)
 
 
 def _model(order: Any, method: str, intersample: str) -> ModalForm:
@@ -246,7 +240,7 @@ def _model(order: Any, method: str, intersample: str) -> ModalForm:
     return model
 
 
-def _check_phases(problem: RecordRows, d: Array) -> None:
+def _check_phases(problem: PortRecord, d: Array) -> None:
     """Refuse modes that turn absurdly fast, or that an integration rule lets grow out of the range of doubles."""
     hold = problem.hold
     if d.max() * hold.h > _FASTEST:
@@ -262,7 +256,7 @@ def _check_phases(problem: RecordRows, d: Array) -> None:
         )
 
 
-def _free_motion(problem: RecordRows, model: ModalForm) -> tuple[ComplexArray, float]:
+def _free_motion(problem: PortRecord, model: ModalForm) -> tuple[ComplexArray, float]:
     """Modal initial states that fit the outputs best, given the model, and the deviation of what is left."""
     n = model.n
     columns = problem.seen(problem.sensitivities(model.d, model.kappa, np.zeros(n, complex)))[:, n:]
@@ -277,7 +271,7 @@ def _free_motion(problem: RecordRows, model: ModalForm) -> tuple[ComplexArray, f
     return found[:n] + 1j * found[n:], float(np.sqrt(left @ left / spare)) if spare > 0 else np.nan
 
 
-def _of_order(problem: RecordRows, n: int, noise: float, time_unit: str | None) -> Excitation:
+def _of_order(problem: PortRecord, n: int, noise: float, time_unit: str | None) -> Excitation:
     """Judge a record for n modes of equal residue, wherever they lie."""
     band = excited_band(problem.u, problem.hold.h, time_unit)
     d, scanned = representative(n, problem, band), scan(problem, n, band)
@@ -298,7 +292,7 @@ def _unresolved(apparent: Array, bin_width: float) -> tuple[tuple[int, int], ...
 
 
 def _artefacts(
-    problem: RecordRows, d: Array, r: Array, amplitudes: ComplexArray, information: Information
+    problem: PortRecord, d: Array, r: Array, amplitudes: ComplexArray, information: Information
 ) -> tuple[Combination, ...]:
     """Combinations that Euler's rule shows and an exact hold does not."""
     if problem.hold.method != "euler":
@@ -314,7 +308,7 @@ def _driven_zeros(d: Array, r: Array, band: ExcitedBand) -> tuple[float, ...]:
     return tuple(line for line in band.lines if (np.abs(zeros - line) < _AT_ZERO * band.bin).any())
 
 
-def _remedies(found: Excitation, problem: RecordRows, amplitudes: ComplexArray) -> tuple[str, ...]:
+def _remedies(found: Excitation, problem: PortRecord, amplitudes: ComplexArray) -> tuple[str, ...]:
     """What to change, each as an instruction, in the order in which to do it."""
     instructions = []
     if found.above_nyquist:

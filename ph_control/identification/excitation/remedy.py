@@ -9,8 +9,7 @@ import numpy as np
 
 from ..._types import Array, ComplexArray
 from ..._units import rate
-from ..regression.time_rows import RecordRows
-from ..uncertainty.fisher import listed, model_information, work
+from ..uncertainty.fisher import PortRecord, listed, model_information, work
 from .excited_band import ExcitedBand
 
 _WORK = 1e10  # operations of the factorisations that are tried, up to one for each mode; beyond, none is tried
@@ -20,7 +19,7 @@ _FEWEST_LINES = 16  # of a multisine
 
 
 def input_remedy(
-    problem: RecordRows,
+    problem: PortRecord,
     d: Array,
     r: Array,
     amplitudes: ComplexArray,
@@ -89,7 +88,7 @@ def _amplitude(u: Array) -> float:
 
 
 def _lines_to_add(
-    problem: RecordRows, d: Array, band: ExcitedBand, size: float, fewest: int, shows_all: Callable[[Array], bool]
+    problem: PortRecord, d: Array, band: ExcitedBand, size: float, fewest: int, shows_all: Callable[[Array], bool]
 ) -> list[str]:
     """Fewest frequencies, of those of the modes, that cure the input when added; empty if they do not."""
     centres = np.array([0.5 * (low + high) for low, high in band.intervals])

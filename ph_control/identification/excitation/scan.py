@@ -9,8 +9,7 @@ import numpy as np
 from ..._frozen import Frozen
 from ..._types import Array, Indices
 from ..._units import rate
-from ..regression.time_rows import RecordRows
-from ..uncertainty.fisher import model_information, work
+from ..uncertainty.fisher import PortRecord, model_information, work
 from .excited_band import ExcitedBand
 
 SPACING = 3.0  # bins between neighbours of a group: what a record separates at moderate noise
@@ -57,7 +56,7 @@ class Scan(Frozen):
         return ", ".join(bands) + f" {rate(self.time_unit)}"
 
 
-def scan(problem: RecordRows, n: int, band: ExcitedBand) -> Scan:
+def scan(problem: PortRecord, n: int, band: ExcitedBand) -> Scan:
     """Information of a group of n modes at each of a grid of frequencies."""
     top = ceiling(problem)
     few = max(3, int(_WORK / work(problem, n)))
@@ -72,13 +71,13 @@ def scan(problem: RecordRows, n: int, band: ExcitedBand) -> Scan:
     return Scan(grid, deficiency, error / best if np.isfinite(best) else error, band.time_unit)
 
 
-def ceiling(problem: RecordRows) -> float:
+def ceiling(problem: PortRecord) -> float:
     """Largest frequency that is tried: a little below what the samples carry."""
     phase = min(0.98 * np.pi, problem.largest_phase)
     return float(problem.hold.frequency_of(np.array([phase]))[0])
 
 
-def group(n: int, centre: float, problem: RecordRows) -> Array:
+def group(n: int, centre: float, problem: PortRecord) -> Array:
     """Frequencies of n modes about a centre, `SPACING` bins apart, moved into what the record carries."""
     top = ceiling(problem)
     spacing = min(SPACING * problem.bin, top / (n + 1))
@@ -87,7 +86,7 @@ def group(n: int, centre: float, problem: RecordRows) -> Array:
     return np.asarray(first + spacing * np.arange(n))
 
 
-def representative(n: int, problem: RecordRows, band: ExcitedBand) -> Array:
+def representative(n: int, problem: PortRecord, band: ExcitedBand) -> Array:
     """Frequencies of n modes spread over the widest excited band, or grouped where it is narrow."""
     top = ceiling(problem)
     if not band.intervals:

@@ -9,92 +9,94 @@ from typing import Any
 
 import numpy as np
 
-from ... import _checks
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._threads import on_one_thread
-from ..._types import Array, Mask, NDArray
+from ..._types import Array, ComplexArray, Mask, NDArray
 from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
-from ...modal.modal_form import ModalForm
-from ..data.time_record import Record
-from ..regression.frequency_rows import FrequencyRows
-from ..regression.prediction import state_from_amplitudes
-from ..regression.time_rows import RecordRows
-from ..regression.variable_projection import Problem, Projection, Rows, refine
-from ..search.formulation import rows_of
-from ..uncertainty.draws import ModeSamples, draws_from, tail_of
+from ..data.experiments import as_channels
+from ..regression.free import FreeProjection, GivenResidues, refine_free
+from ..regression.sections import PoleRegion
+from ..regression.time_rows import FreeRecord
+from ..search.modal_search import FreePath
+from ..structure.constrained import constrained
+from ..structure.layout import ChannelLayout
+from ..uncertainty.draws import draws_from, tail_of
+from ..uncertainty.modal_draws import ModalSamples
 
-_OFF = 0.3  # standard errors by which an estimate may miss the minimum of its loss
 _EXACT = 1e-4  # of the noise variance: decrease of the sum of squares at which a refit takes its last step
+
+_Estimate = tuple[ComplexArray, ComplexArray, Array]  # poles, residues, feedthrough
 
 
 @dataclass(frozen=True, eq=False)
 class Bootstrap(Frozen):
-    """Estimates from resampled noise; made by `LosslessResult.bootstrap`.
+    """Estimates from resampled noise; made by `PEMResult.bootstrap`.
 
     Attributes
     ----------
-    d, r : ndarray, shape (k, n)
-        Natural frequencies, ascending in each row, and their weights: one resample a row, NaN where the refit failed.
-    initial_state : ndarray, shape (k, s)
-        Initial states of all records, one after the other; s is 0 for frequency responses.
-    offset : ndarray, shape (k, E)
-        Constant added to the output of each of the E experiments; 0 where none is estimated.
-    active : ndarray of bool, shape (k, n)
-        Whether the weight was held at 0 by the constraint `r >= 0`.
+    poles : ndarray of complex, shape (k, N)
+        Poles in the order of those of the result: a resample each row, NaN where the refit failed.
+    residues : ndarray of complex, shape (k, N, p, m)
+        At these poles.
+    feedthrough : ndarray, shape (k, p, m)
+        Responses at infinity.
     failed : int
-        Number of refits that did not converge.
+        Number of refits that did not converge, or ended with other kinds of poles.
 
     Notes
     -----
     `len(bootstrap)` is the number of refits that did converge; only these count below.
     """
 
-    d: Array
-    r: Array
-    initial_state: Array
-    offset: Array
-    active: Mask
+    poles: ComplexArray
+    residues: ComplexArray
+    feedthrough: Array
     failed: int
 
     def __len__(self) -> int:
-        return len(self.d) - self.failed
+        return len(self.poles) - self.failed
 
     def __repr__(self) -> str:
-        held = ", ".join(f"{100 * share:.0f}" for share in self.active_share)
-        return (
-            f"Bootstrap({len(self.d)} resamples of {self.d.shape[1]} modes, {self.failed} failed; "
-            f"weights held at 0 in {held or '-'} %)"
-        )
+        return f"Bootstrap({len(self.poles)} resamples of {self.poles.shape[1]} poles, {self.failed} failed)"
 
     @property
     def _kept(self) -> Mask:
-        return np.asarray(~np.isnan(self.offset).any(axis=1))
-
-    def _statistic(self, of: Callable[[Array], Array], *shape: int) -> Mapping[str, Array]:
-        """Statistic of each parameter by its name; NaN for what never changed."""
-        found = {}
-        for name in ("d", "r", "initial_state", "offset"):
-            draws = getattr(self, name)[self._kept]
-            known = (draws != draws[:1]).any(axis=0)
-            values = np.full((draws.shape[1], *shape), np.nan)
-            if known.any():
-                values[known] = of(draws[:, known])
-            several = name == "initial_state" and len(values) > 2 * self.d.shape[1]
-            found[name] = values.reshape(-1, 2 * self.d.shape[1], *shape) if several else values
-        return ReadOnlyMapping(found)
+        return np.asarray(~np.isnan(self.poles).any(axis=1))
 
     @property
-    def active_share(self) -> Array:
-        """Share of the resamples in which each weight was held at 0, shape (n,)."""
-        return np.asarray(self.active[self._kept].mean(axis=0)) if len(self) else np.full(self.d.shape[1], np.nan)
+    def _modes(self) -> int:
+        return int(np.sum(self.poles[self._kept][:1].imag != 0))
+
+    @property
+    def natural_frequencies(self) -> Array:
+        """Natural frequencies of the modes, shape (k, n), rad per unit time."""
+        return np.abs(self.poles[:, : self._modes])
+
+    @property
+    def damping_ratios(self) -> Array:
+        """Damping ratios of the modes, shape (k, n)."""
+        return -self.poles[:, : self._modes].real / self.natural_frequencies
+
+    @property
+    def real_poles(self) -> Array:
+        """Real poles, shape (k, r)."""
+        return np.asarray(self.poles[:, self._modes :].real)
+
+    def _statistic(self, of: Callable[[Array], Array]) -> Mapping[str, Any]:
+        """Statistic of each parameter by its name, along the resamples; of complex ones of both parts."""
+        found = {}
+        for name in ("natural_frequencies", "damping_ratios", "real_poles", "residues", "feedthrough"):
+            draws = getattr(self, name)[self._kept]
+            found[name] = of(draws.real) + 1j * of(draws.imag) if np.iscomplexobj(draws) else of(draws)
+        return ReadOnlyMapping(found)
 
     @cached_property
-    def stderr(self) -> Mapping[str, Array]:
-        """Standard deviation over the resamples: d, r, initial_state, offset; NaN for what never changed."""
+    def stderr(self) -> Mapping[str, Any]:
+        """Standard deviation over the resamples, under the keys of the result's `stderr` that are estimated here."""
         return self._statistic(lambda draws: np.std(draws, axis=0, ddof=1))
 
-    def interval(self, level: float = 0.95) -> Mapping[str, Array]:
+    def interval(self, level: float = 0.95) -> Mapping[str, Any]:
         """Percentile intervals of the parameters.
 
         Parameters
@@ -105,7 +107,7 @@ class Bootstrap(Frozen):
         Returns
         -------
         mapping
-            Arrays of shape (..., 2), lower and upper ends, under the keys of `stderr`; NaN for what never changed.
+            Arrays of shape (..., 2), lower and upper ends, under the keys of `stderr`.
 
         Raises
         ------
@@ -115,7 +117,7 @@ class Bootstrap(Frozen):
         Notes
         -----
         Ends are interpolated between neighbouring resamples; with k of them the share beyond an end is uncertain by
-        about `sqrt(p/k)`, `p = (1 - level)/2`: 2.5 ± 1.1 % for 200 resamples and level 0.95.  O(k s).
+        about `sqrt(p/k)`, `p = (1 - level)/2`: 2.5 ± 1.1 % for 200 resamples and level 0.95.
 
         Examples
         --------
@@ -124,30 +126,33 @@ class Bootstrap(Frozen):
         >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(300)
         >>> y = phc.forced_response(plant, 0.1 * np.arange(300), u, intersample="zoh").outputs
         >>> y = y + 0.1 * rng.standard_normal(300)
-        >>> (low, high), = phc.pem((u, y), 1, dt=0.1).bootstrap(50, rng=1).interval()["d"]
+        >>> again = phc.pem((u, y), 1, dt=0.1, structure="lossless").bootstrap(50, rng=1)
+        >>> (low, high), = again.interval()["natural_frequencies"]
         >>> bool(low < 1.0 < high)
         True
         """
         tail = tail_of(level)
         if not len(self):
-            raise StructureError(f"none of {len(self.d)} refits converged, so there are no percentiles")
-        return self._statistic(lambda draws: np.quantile(draws, [tail, 1 - tail], axis=0).T, 2)
+            raise StructureError(f"none of {len(self.poles)} refits converged, so there are no percentiles")
+        return self._statistic(lambda draws: np.moveaxis(np.quantile(draws, [tail, 1 - tail], axis=0), 0, -1))
 
     @property
-    def samples(self) -> ModeSamples:
-        """The models that were refitted, with the bands of their responses."""
-        return ModeSamples(self.d[self._kept], self.r[self._kept], self.initial_state[self._kept])
+    def samples(self) -> ModalSamples:
+        """The models that were refitted, with the bands of their responses; shapes are those of their residues."""
+        kept, n = self._kept, self._modes
+        shapes = self.residues[kept][:, :n, :, 0] if self.residues.shape[3] else np.zeros((len(self), n, 0), complex)
+        return ModalSamples(self.poles[kept], self.residues[kept], self.feedthrough[kept], shapes)
 
 
 class Resampled:
-    """The bootstrap of a result that is the minimum of a problem."""
+    """The bootstrap of a result."""
 
     @on_one_thread
     def bootstrap(self: Any, k: int = 200, *, rng: Any = None, workers: Any = 1) -> Bootstrap:
-        """Refit to resampled noise: errors that do not rest on a normal distribution, nor on one noise level for all.
+        """Refit to resampled noise: errors that do not rest on a normal distribution, nor on noise of one level.
 
         Each time the residuals of every experiment are drawn anew, with replacement, added to its prediction, and the
-        model is refined from the estimate.
+        model is refined from the estimate, under the same structure.
 
         Parameters
         ----------
@@ -166,20 +171,17 @@ class Resampled:
         Raises
         ------
         StructureError
-            If `k`, `rng` or `workers` is not of this form.
+            If `k`, `rng` or `workers` is not of this form, or the result has no poles.
         IdentificationError
-            If the estimate is not a minimum of the loss, as after an interruption, or where the frequencies were
-            taken from elsewhere because the record contradicts the model: refits would scatter about another one.
+            If the estimate is not a minimum of the loss, as after an interruption: refits would go elsewhere.
 
         Notes
         -----
         Residuals are centred and enlarged by `sqrt(N/(N - p))`, N equations and p parameters; they stay within their
-        experiment, so that each keeps a noise level of its own, and missing outputs stay missing.  Those of a frequency
-        response are drawn as complex numbers in units of their weights.  Within an experiment noise is taken to be
-        independent and of one distribution: errors under coloured noise, or a level that changes along the record, are
-        not seen; look at `residual_analysis` first.  Refits stay in the minimum of the estimate and sort their modes
-        by frequency.  Of a weight at or near 0 no bootstrap gives the right distribution: its draws pile up at 0, about
-        half of them if the estimate itself is held there; `active_share` tells which are concerned.
+        experiment and output, so that each keeps a noise level of its own, and missing outputs stay missing.  Those of
+        a frequency response are drawn as complex numbers in units of their weights.  Within an experiment noise is
+        taken to be independent and of one distribution: errors under coloured noise, or a level that changes along the
+        record, are not seen; look at `residual_analysis` first.
 
         k times two to five iterations of O(T n^2), a small part of the fit itself for each.
 
@@ -192,127 +194,96 @@ class Resampled:
         >>> y = y + 0.1 * rng.standard_normal(500)
         >>> result = phc.pem((u, y), 1, dt=0.1)
         >>> again = result.bootstrap(100, rng=1)
-        >>> bool(abs(again.stderr["d"][0] / result.stderr["d"][0] - 1) < 0.2)
+        >>> bool(abs(again.stderr["natural_frequencies"][0] / result.stderr["d"][0] - 1) < 0.25)
         True
         """
         count, random = draws_from(k, rng)
         if count == 0:
             raise StructureError("k is 0; a bootstrap needs at least one resample, and 200 for standard errors")
         check_workers(workers)
+        if not self.states:
+            raise StructureError("this result has no poles, and there is nothing to refit")
+        if not self.success:
+            raise IdentificationError(
+                "the estimate is not a minimum of its loss, as its refinement did not come to an end; refits would "
+                "scatter about another model: fit again with initial_guess=result"
+            )
         refit = _Refit.of(self)
-        at = refit.problem.project(refit.start)
-        _refuse_off_minimum(at, self.noise_variance)
         seeds = np.random.SeedSequence(int(random.integers(2**63))).spawn(count)
         found = list(mapped(refit, seeds, workers, tuple))
-        # NaN where a refit did not converge
-        nothing = tuple(np.full(part.shape, 0 if part.dtype == bool else np.nan) for part in refit.estimate(at))
-        d, r, state, offset, active = (
-            np.stack(parts) for parts in zip(*(one or nothing for one in found), strict=True)
+        nothing = tuple(
+            np.full(part.shape, np.nan, part.dtype) for part in (self.poles, self.residues, self.feedthrough)
         )
-        return Bootstrap(d, r, state, offset, active.astype(bool), failed=sum(not one for one in found))
-
-
-def _refuse_off_minimum(at: Projection, variance: float) -> None:
-    """Refuse an estimate from which refits would go elsewhere; of noise-free data the minimum is not told."""
-    if at.loss <= at.problem.rounding or not len(at.d):
-        return
-    scale = np.sqrt(np.diag(at.gram))
-    scale = np.where(scale > 0, scale, 1.0)
-    slope = at.gradient / scale
-    curvature = np.linalg.pinv(at.gram / np.outer(scale, scale), rcond=len(scale) * _checks.EPS, hermitian=True)
-    off = float(np.sqrt(max(0.0, float(slope @ curvature @ slope)) / variance))
-    if off > _OFF:
-        raise IdentificationError(
-            f"the estimate is not a minimum of its loss: the frequencies are {off:.2g} standard errors from one, "
-            f"allowed {_OFF:g}; refits would scatter about another model: fit again from initial_guess=result.system, "
-            "or see in result.message what contradicts the model"
-        )
+        poles, residues, through = (np.stack(parts) for parts in zip(*(one or nothing for one in found), strict=True))
+        return Bootstrap(poles, residues, through, failed=sum(not one for one in found))
 
 
 @dataclass(frozen=True)
 class _Refit:
-    """What every resample starts from: the problem, the estimate, its predictions, and the noise to draw from."""
+    """What every resample starts from: data whose noise has variance 1, the estimate, predictions, noise to draw."""
 
-    problem: Problem
-    modes: ModalForm
-    shown: int
-    quantity: str
-    predicted: tuple[NDArray[Any], ...]
-    noise: tuple[NDArray[Any], ...]
+    rows: list[Any]
+    poles: ComplexArray
+    fed: Mask
+    layout: ChannelLayout
+    region: PoleRegion
+    structure: str
+    predictions: list[NDArray[Any]]
+    noise: list[NDArray[Any]]
 
     @classmethod
     def of(cls, result: Any) -> _Refit:
-        """Make it of a `PEMResult`."""
+        """Make it of a result."""
+        channels: Any = as_channels([one.record for one in result.experiments])
+        moving = any(np.any(one.free_amplitudes) for one in result.experiments)
+        terms = int(np.isfinite(result.stderr["offset"]).any())
+        terms += any(np.any(getattr(one, "drifts", getattr(one, "drift", 0.0))) for one in result.experiments)
+        path = FreePath.of(channels, result.quantities, result.intersample, terms, moving, method=result.method)
+        path.weigh(path.counts * np.ravel(result.noise_variance))
+        rows, per_entry = list(path.scaled.data), not isinstance(path.scaled.data[0], FreeRecord)
+        p, m = result.feedthrough.shape
+        layout = ChannelLayout(p, m, 1.0 / path.sizes, result.quantities, result.ports, per_entry=per_entry)
+        fed = path.felt | (result.feedthrough.reshape(path.felt.shape) != 0) if m else path.felt
+        at = FreeProjection(rows, result.poles, fed)
+        halves = np.where(result.poles.imag == 0, 0.5, 1.0)[:, None, None] * result.residues
+        given = GivenResidues(at, layout.joined(halves, result.feedthrough, at.has_feedthrough) if m else at.shared)
         # residuals are smaller than the noise by the parameters that were fitted to it
-        factor = np.sqrt(result.noise_variance / result.loss) if result.loss > 0 else 1.0
-        problem = problem_of(result)
-        noise = []
-        for rows, one in zip(problem.experiments, result.experiments, strict=True):
-            left = one.residuals[one.record.observed] * _scale(rows)
-            noise.append(factor * (left - left.mean()))
-        predicted = tuple(one.predicted for one in result.experiments)
-        shown = result.order - len(result.unseen)
-        return cls(problem, result.modes, shown, result.quantity, predicted, tuple(noise))
+        factor = np.sqrt(at.rows / max(1, at.rows - at.unknowns))
+        predictions, noise = given.predictions(), []
+        for one, predicted in zip(rows, predictions, strict=True):
+            left = (_target(one) - predicted)[:, one.observed] * _weight(one)
+            noise.append(factor * (left - left.mean(axis=1, keepdims=True)))
+        return cls(rows, result.poles, fed, layout, path.search.region, result.structure, predictions, noise)
 
-    def __call__(self, seed: np.random.SeedSequence) -> tuple[NDArray[Any], ...]:
+    def __call__(self, seed: np.random.SeedSequence) -> _Estimate | tuple[()]:
         """Estimate from the noise of one seed; nothing where that is not reached."""
-        random = np.random.default_rng(seed)
-        rows = tuple(
-            _with_output(one, predicted, random.choice(noise, len(noise)))
-            for one, predicted, noise in zip(self.problem.experiments, self.predicted, self.noise, strict=True)
-        )
+        random, rows = np.random.default_rng(seed), []
+        for one, predicted, noise in zip(self.rows, self.predictions, self.noise, strict=True):
+            output = np.where(one.observed, predicted, 0.0)
+            drawn = np.stack([random.choice(values, len(values)) for values in noise])
+            output[:, one.observed] += drawn / _weight(one)
+            rows.append(
+                replace(one, y=output, scale=None) if isinstance(one, FreeRecord) else replace(one, response=output)
+            )
+        samples = sum(one.samples for one in rows)
         try:
-            end = refine(replace(self.problem, experiments=rows), self.start, rtol=_EXACT / self.problem.samples)
-        except (np.linalg.LinAlgError, RuntimeError):  # of a decomposition or of nnls that does not converge
+            at = refine_free(lambda _: rows, self.poles, self.region, _EXACT / samples, self.fed)
+            fit = constrained(at, self.layout, self.structure, self.region)
+        except (np.linalg.LinAlgError, RuntimeError):  # of a decomposition that does not converge
             return ()
-        return self.estimate(end.projection) if end.converged else ()
-
-    @property
-    def start(self) -> Array:
-        """Frequencies of the estimate, without those that the data do not show."""
-        return self.modes.d[: self.shown]
-
-    def estimate(self, at: Projection) -> tuple[NDArray[Any], ...]:
-        """Frequencies, weights, states, offsets, and what is held; modes that the data do not show stay as they are."""
-        m, n, at = self.shown, self.modes.n, at.ascending
-        d, r, active = self.modes.d.copy(), self.modes.r.copy(), np.zeros(n, bool)
-        d[:m] = at.d
-        if self.problem.driven:
-            r[:m], active[:m] = at.kappa / at.d, ~at.free
-        modes = ModalForm._of(d, np.sqrt(r).astype(complex)[:, None], np.zeros((0, 1)))
-        states, offsets = [np.zeros(0)], np.zeros(len(at.own))
-        for k, (rows, own) in enumerate(zip(self.problem.experiments, at.own, strict=True)):
-            if not isinstance(rows, RecordRows):
-                continue
-            states.append(state_from_amplitudes(modes, np.pad(at.amplitudes(k), (0, n - m)), self.quantity))
-            offsets[k] = own[-1] if rows.offset else 0.0
-        return d, r, np.concatenate(states), offsets, active
+        rank = np.lexsort((np.abs(fit.p), fit.p.imag == 0))
+        poles = fit.p[rank]
+        if not fit.converged or not np.array_equal(poles.imag == 0, self.poles.imag == 0):
+            return ()
+        residues = fit.residues[rank] * np.where(poles.imag == 0, 2.0, 1.0)[:, None, None]
+        return poles, residues, fit.feedthrough
 
 
-def problem_of(result: Any) -> Problem:
-    """Problem that a `PEMResult` is the minimum of, made again from what the result says of itself."""
-    driven = [one for one in result.experiments if isinstance(one.record, Record) and one.record.driven]
-    # an estimate of a free motion that is exactly 0 does not occur
-    rest = bool(driven) and not any(one.free_amplitudes.any() for one in driven)
-    offset = int(np.isfinite(result.offset_stderr).any())
-    rows = [
-        rows_of(
-            one.record, result.method, result.intersample, result.quantity, from_rest=rest,
-            offset=offset + (one.drift != 0),
-        )
-        for one in result.experiments
-    ]  # fmt: skip
-    return Problem(tuple(rows), structured=result.representation == "controllable")
+def _target(rows: Any) -> NDArray[Any]:
+    """Outputs (q, T) in the scale of the rows."""
+    return np.asarray(rows.measured if isinstance(rows, FreeRecord) else rows.response)
 
 
-def _scale(rows: Rows) -> Array | float:
-    """Factor that makes the residuals of an experiment alike."""
-    return rows.scale if isinstance(rows, FrequencyRows) else 1.0
-
-
-def _with_output(rows: Any, predicted: NDArray[Any], noise: NDArray[Any]) -> Any:
-    """The experiment with other noise on its prediction, at the points that were observed."""
-    record = rows if isinstance(rows, RecordRows) else rows.record
-    output = np.where(record.observed, predicted, np.nan)
-    output[record.observed] += noise / _scale(rows)
-    return replace(rows, y=output) if record is rows else replace(rows, record=replace(record, response=output))
+def _weight(rows: Any) -> Array | float:
+    """Factor that makes the residuals of the rows alike."""
+    return 1.0 if isinstance(rows, FreeRecord) else rows.weight

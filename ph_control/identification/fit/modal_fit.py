@@ -12,35 +12,48 @@ import numpy as np
 from ... import _checks
 from ..._display import counted, p_value
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
-from ...modal.discretization import INTERSAMPLE
-from ...modal.modal_form import ModalForm
+from ...modal.discretization import Hold
+from ...modal.modal_form import from_frequencies
 from ..data.channels import Recording, ResponseMatrix, single
 from ..data.frequency_record import FrequencyRecord
-from ..data.parts import Difference, Signal, cut, searched_part
+from ..data.parts import Difference, Signal
 from ..data.quantities import checked_quantities
+from ..data.time_record import Record
 from ..diagnosis.coloured_noise import beside_coloured_noise
 from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
+from ..excitation.excitation import examine
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.frequency_rows import FreeResponse
-from ..regression.prediction import FittedExperiment, Pairs, ResponseBackground, joint_percent, pieces, shares_left
+from ..regression.modal_regressors import output_weight
+from ..regression.prediction import (
+    FittedExperiment,
+    Pairs,
+    ResponseBackground,
+    joint_percent,
+    pieces,
+    shares_left,
+    state_from_amplitudes,
+)
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.circumstances import REJECTED, Cause, Finding, sentence_of, worth_telling
-from ..search.formulation import Callback, reporter
-from ..search.modal_search import FreeFit, FreePath, feedthrough_of, free_fit
+from ..search.modal_search import FreeFit, feedthrough_of, free_fit
+from ..search.progress import Callback, reporter
+from ..search.starting_poles import poles_of
 from ..structure.constrained import StructuredFit, constrained
 from ..structure.delayed import cost_of, with_delays
-from ..structure.hypothesis_tests import LEVEL, choose, likelihood_test, structure_tests
-from ..structure.layout import ChannelLayout
+from ..structure.hypothesis_tests import LEVEL, choose, given_structure, likelihood_test, structure_tests
+from ..structure.layout import POWERS, ChannelLayout
+from ..uncertainty.fisher import PortRecord
 from ..uncertainty.residual_tests import ljung_box
-from .damped_result import DampedResult
-from .result import STRUCTURES, OrderRow, PEMResult, cut_short
+from .pem_result import PEMResult, residue_of_unit_weight, weights_of
+from .result import STRUCTURES, OrderRow, cut_short
 from .scaled_shapes import ModeShapes, shape_errors
 
-_BEGINNING = 1 << 15  # numbers of a part of a record that is asked for real poles
 _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it
 _CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
 
@@ -48,100 +61,99 @@ Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What is asked of a fit of damped modes."""
+class Request:
+    """What a fit is to assume: structure, driving points, quantities of the outputs.
+
+    `assumed` says whether the port is the one that one input and one output have by default.
+    """
 
     structure: str
     ports: tuple[tuple[int, int], ...]
     quantities: tuple[str, ...]
-    assumed: bool = False  # whether the ports are those that a lossless fit takes for granted
+    assumed: bool = False
 
 
 @dataclass(frozen=True)
 class Options:
-    """Options of `pem` that fits of either kind have."""
+    """Options of `pem`, checked.
+
+    `moving` says whether records may start in motion, `weighted` whether weights were given, `reachable` whether modes
+    without weight are left out, as from the controllable form.
+    """
 
     order: int | str
+    method: str
     intersample: str
     offset: bool | str
     max_order: int
     criterion: str
     callback: Callback | None
-    moving: bool  # whether records may start in motion
-    weighted: bool  # whether weights were given
-    real_poles: int | str = "auto"
-    delay: Any = "auto"
+    moving: bool
+    weighted: bool
+    real_poles: int | str
+    delay: Array | None
+    reachable: bool
+
+    @classmethod
+    def checked(cls, channels: Channels, **options: Any) -> Options:
+        """Check options, and signals that could not show anything."""
+        order, offset = options["order"], options["offset"]
+        if not isinstance(order, str):
+            order = _checks.whole_number("order", order, 1)
+        elif order != "auto":
+            raise StructureError(f"order is {order!r}; it must be 'auto' or a whole number of at least 1")
+        if not isinstance(offset, str) or offset != "auto":
+            _checks.flags(offset=offset)
+        most, real_poles = _checks.whole_number("max_order", options["max_order"], 1), options["real_poles"]
+        if not isinstance(real_poles, str):
+            real_poles = _checks.whole_number("real_poles", real_poles, 0)
+        elif real_poles != "auto":
+            raise StructureError(f"real_poles is {real_poles!r}; it must be 'auto' or a whole number of at least 0")
+        delay = checked_delay(options["delay"], len(channels[0].output_labels))
+        reporter(most, options["callback"])
+        _refuse_still(channels, options["moving"])
+        if options["method"] == "euler" and options["intersample"] == "auto":
+            options["intersample"] = "zoh"
+        return cls(**{**options, "order": order, "max_order": most, "real_poles": real_poles, "delay": delay})
+
+    @property
+    def largest(self) -> int:
+        """Largest number of modes."""
+        return self.max_order if isinstance(self.order, str) else self.order
 
 
 def fit_channels(
-    channels: Channels, asked: Asked, options: Options, start: ComplexArray | None = None,
-    findings: tuple[Finding, ...] = (),
-) -> DampedResult:  # fmt: skip
-    """Free residues first, then the structure that is asked for, or the simplest that is not rejected."""
-    _refuse_still(channels)
-    order, offset = options.order, options.offset
-    wanted = order if isinstance(order, str) else _checks.whole_number("order", order, 1)
-    if isinstance(wanted, str) and wanted != "auto":
-        raise StructureError(f"order is {wanted!r}; it must be 'auto' or a whole number of at least 1")
-    _checks.choice("intersample", options.intersample, ("auto", *INTERSAMPLE))
-    if not isinstance(offset, str) or offset != "auto":
-        _checks.flags(offset=offset)
-    most = _checks.whole_number("max_order", options.max_order, 1)
-    checked_real_poles(options.real_poles)
+    channels: Channels, request: Request, options: Options, start: ComplexArray | None = None,
+    findings: tuple[Finding, ...] = (), order: int | str | None = None,
+) -> PEMResult:  # fmt: skip
+    """Fit free residues first, then the structure that is given, or the simplest that is not rejected."""
+    order = options.order if order is None else order
     search = partial(
-        free_fit, channels, quantities=asked.quantities, intersample=options.intersample, offset=offset,
-        max_order=most, criterion=options.criterion, weighted=options.weighted,
-        real_poles=options.real_poles, delay=checked_delay(options.delay, len(channels[0].output_labels)),
-        reports=reporter(most if isinstance(wanted, str) else wanted, options.callback),
+        free_fit, channels, quantities=request.quantities, intersample=options.intersample, offset=options.offset,
+        max_order=options.max_order, criterion=options.criterion, weighted=options.weighted,
+        real_poles=options.real_poles, method=options.method, delay=options.delay,
+        reports=reporter(options.largest, options.callback),
     )  # fmt: skip
     # before a hammer hits, few samples show the motion there was, and what is unknown of it hides the residues
     resting = options.moving and begin_at_rest(channels)
-    free = search(wanted, start=start, moving=options.moving and not resting)
+    free = search(order, start=start, moving=options.moving and not resting)
     if resting and free.order and not free.interrupted:
         other = search(free.order, start=free.projection.p, moving=True)
         if other.criteria.bic < free.criteria.bic:
             resting = False
-            free = search(wanted, start=start, moving=True)
+            free = search(order, start=start, moving=True)
 
     def with_delay(delay: Array) -> FreeFit:
-        return search(wanted, start=start, moving=options.moving and not resting, delay=delay)
+        return search(order, start=start, moving=options.moving and not resting, delay=delay)
 
-    return under_either_hold(free, asked, findings, with_delay)
-
-
-def shows_real_poles(channels: Channels, asked: Asked, options: Options) -> bool:
-    """Whether the beginning of each record has real poles beside its modes, or is asked for them."""
-    if options.real_poles != "auto" or options.order != "auto":
-        return options.real_poles not in ("auto", 0)
-    _refuse_still(channels)
-    parts: Any = [cut(one, searched_part(one, not options.moving, _BEGINNING)) for one in channels]
-    path = FreePath.of(
-        parts, asked.quantities, options.intersample, int(bool(options.offset)), options.moving
-    )  # fmt: skip
-    try:
-        # a first look, which most plants without real poles end with
-        if not path.carried or not np.any(path.grown(np.zeros(0, complex), options.max_order, True).p.imag == 0):
-            return False
-        found = free_fit(
-            parts, quantities=asked.quantities, intersample=options.intersample, offset=options.offset,
-            moving=options.moving, max_order=options.max_order, criterion="bic",
-        )  # fmt: skip
-    except IdentificationError:
-        return False
-    if found.interrupted and not np.any(found.projection.p.imag == 0):
-        raise KeyboardInterrupt
-    return bool(np.any(found.projection.p.imag == 0))
-
-
-def checked_real_poles(value: int | str) -> int | str:
-    """Check the number of real poles that is asked for."""
-    if isinstance(value, str):
-        return _checks.choice("real_poles", value, ("auto",))
-    return _checks.whole_number("real_poles", value, 0)
+    result = under_either_hold(free, request, findings, with_delay)
+    if options.reachable and (shown := result.order - int(np.sum(result.kappa == 0))) < result.order:
+        return fit_channels(channels, request, options, 1j * result.d[result.kappa > 0], findings, max(1, shown))
+    return result
 
 
 def checked_delay(value: Any, outputs: int) -> Array | None:
-    """Check the delay of each output that is asked for; None where it is left to the data."""
+    """Check delays that were given, one for each output; None where they are left to the data."""
     if isinstance(value, str):
         _checks.choice("delay", value, ("auto",))
         return None
@@ -154,22 +166,22 @@ def checked_delay(value: Any, outputs: int) -> Array | None:
 
 
 def begin_at_rest(channels: Channels) -> bool:
-    """Whether all experiments are recordings that begin at rest, by what is seen of the outputs."""
-    return all(isinstance(one, Recording) and one.begins_at_rest for one in channels)
+    """Tell whether all experiments are recordings that begin at rest, by what is seen of the outputs."""
+    return all(isinstance(data, Recording) and data.begins_at_rest for data in channels)
 
 
 WithDelay = Callable[[Array], FreeFit]  # searches in rows with a delay of each output
 
 
 def under_either_hold(
-    free: FreeFit, asked: Asked, findings: tuple[Finding, ...] = (), with_delay: WithDelay | None = None
-) -> DampedResult:
-    """The structure of a fit, with the inputs held as it tells; in rows of white noise where that of the data is not.
+    free: FreeFit, request: Request, findings: tuple[Finding, ...] = (), with_delay: WithDelay | None = None
+) -> PEMResult:
+    """Select the structure under the hold that the data prefer; where noise is coloured, in rows of white noise.
 
     Free residues and a feedthrough are the same models under either hold; only structures tell the two apart.  So it is
     with delays of the outputs that are left to the data.
     """
-    best, found = _chosen(free, asked, findings, with_delay)
+    best, found = _chosen(free, request, findings, with_delay)
     if found.whiteness >= WHITE or not found.success:
         return found
     late = best is not None and best.free.delay_open and bool(best.free.delay.any())
@@ -181,27 +193,27 @@ def under_either_hold(
         rival = None if free.rival is None else beside_coloured_noise(free.rival)
     except KeyboardInterrupt:
         return cut_short(found)
-    return _chosen(replace(whitened, rival=rival), asked, findings)[1]
+    return _chosen(replace(whitened, rival=rival), request, findings)[1]
 
 
 def _chosen(
-    free: FreeFit, asked: Asked, findings: tuple[Finding, ...], with_delay: WithDelay | None = None
-) -> tuple[_Chosen | None, DampedResult]:
+    free: FreeFit, request: Request, findings: tuple[Finding, ...], with_delay: WithDelay | None = None
+) -> tuple[_Chosen | None, PEMResult]:
     """Choose hold, delays and structure in the rows there are, and make the result; without a choice if interrupted.
 
-    Where no structure stands under either hold, as neither is exact, it is the one under which shapes are more nearly
-    real.
+    Where no structure stands under either hold, as neither is exact, the hold is the one under which shapes are more
+    nearly real.
     """
     try:
-        best = _Chosen(free, *_structure_of(free, asked))
+        best = _Chosen(free, *_structure_of(free, request))
     except KeyboardInterrupt:
-        return None, structured(replace(free, interrupted=True), asked, findings)
+        return None, structured(replace(free, interrupted=True), request, findings)
     try:
-        best = _of_either_hold(best, asked)
-        best = _with_delay(best, free.rival if best.free is free else free, asked, with_delay)
+        best = _of_either_hold(best, request)
+        best = _with_delay(best, free.rival if best.free is free else free, request, with_delay)
     except KeyboardInterrupt:
-        return None, cut_short(_result(*best.parts, asked, _beside(findings, best.free)))
-    return best, _result(*best.parts, asked, _beside(findings, best.free))
+        return None, cut_short(_result(*best.parts, request, _beside(findings, best.free)))
+    return best, _result(*best.parts, request, _beside(findings, best.free))
 
 
 @dataclass(frozen=True)
@@ -224,27 +236,27 @@ def _beside(findings: tuple[Finding, ...], free: FreeFit) -> tuple[Finding, ...]
     return (*(one for one in findings if one.cause not in anew), *free.findings)
 
 
-def _of_either_hold(first: _Chosen, asked: Asked) -> _Chosen:
+def _of_either_hold(first: _Chosen, request: Request) -> _Chosen:
     """The structure under the hold with which it is simpler, or likelier."""
     free = first.free
-    settled = STRUCTURES[:2] if asked.structure == "auto" else ("free",)
+    settled = STRUCTURES[:2] if request.structure == "auto" else ("free",)
     if free.rival is None or first.fit.structure in settled:
         return first
     rival = replace(free.rival, findings=free.findings)
-    if asked.structure == "auto":
+    if request.structure == "auto":
         simpler = STRUCTURES[: STRUCTURES.index(first.fit.structure)]
-        chosen, tests = _tested(rival, asked, simpler)
+        chosen, tests = _tested(rival, request, simpler)
         gain = _classical_cost(free, first.tests) - _classical_cost(rival, tests)
         if chosen.structure not in simpler and (first.fit.structure != "free" or gain <= 2 * TUNING.sure):
             return first
-    second = _Chosen(rival, *_structure_of(rival, asked))
-    if asked.structure == "auto":
+    second = _Chosen(rival, *_structure_of(rival, request))
+    if request.structure == "auto":
         return second
-    logliks = [_result(*one.parts, asked, ()).loglik for one in (first, second)]
+    logliks = [_result(*one.parts, request, ()).loglik for one in (first, second)]
     return second if logliks[1] > logliks[0] + TUNING.sure else first
 
 
-def _with_delay(best: _Chosen, other: FreeFit | None, asked: Asked, with_delay: WithDelay | None) -> _Chosen:
+def _with_delay(best: _Chosen, other: FreeFit | None, request: Request, with_delay: WithDelay | None) -> _Chosen:
     """The structure with delays of the outputs, where these explain more; those of whole samples are refined.
 
     The `other` fit has the inputs held otherwise.
@@ -252,24 +264,24 @@ def _with_delay(best: _Chosen, other: FreeFit | None, asked: Asked, with_delay: 
     free = best.free
     if not (free.delay_open and free.order and free.projection.inputs) or free.interrupted:
         return best
-    late, stands = bool(free.delay.any()), _stands(best, asked)
-    if asked.structure == "passive" or (stands and not late):
+    late, stands = bool(free.delay.any()), _stands(best, request)
+    if request.structure == "passive" or (stands and not late):
         return best
     if stands:
-        return _refined(best, best.fit.hypothesis, asked)
-    hypothesis = "classical" if asked.structure == "auto" else asked.structure
-    trials = [_delayed(one, best, hypothesis, asked, False) for one in (free, other) if one is not None]
+        return _refined(best, best.fit.hypothesis, request)
+    hypothesis = "classical" if request.structure == "auto" else request.structure
+    trials = [_delayed(one, best, hypothesis, request, False) for one in (free, other) if one is not None]
     trial = min((one for one in trials if one is not None), key=_cost, default=best)
     if _explains(trial, best):
         # modes too many may have stood for the delay
         anew = trial.free if with_delay is None else with_delay(trial.free.delay[_places(free)])
         anew = replace(anew, findings=free.findings, delay_gain=trial.free.delay_gain)
         frees = [trial.free, anew.with_delay_open(True)]
-        found = [_in_rows_of(one, asked) for one in frees if one.order and not one.interrupted]
+        found = [_in_rows_of(one, request) for one in frees if one.order and not one.interrupted]
         chosen = min(found, key=_cost)
-        if _explains(chosen, best) and (_stands(chosen, asked) or _gain(chosen, best) > TUNING.sure):
+        if _explains(chosen, best) and (_stands(chosen, request) or _gain(chosen, best) > TUNING.sure):
             return chosen
-    return _refined(best, "free", asked) if late and best.fit.structure == "free" else best
+    return _refined(best, "free", request) if late and best.fit.structure == "free" else best
 
 
 def _explains(trial: _Chosen, best: _Chosen) -> bool:
@@ -292,20 +304,20 @@ def _gain(trial: _Chosen, best: _Chosen) -> float:
     return 0.5 * (_cost(best) - _cost(trial))
 
 
-def _in_rows_of(free: FreeFit, asked: Asked) -> _Chosen:
+def _in_rows_of(free: FreeFit, request: Request) -> _Chosen:
     """The structure in rows with delays, which are refined with it."""
-    first = _of_either_hold(_Chosen(free, *_structure_of(free, asked)), asked)
-    if _stands(first, asked) or asked.structure != "auto":
-        return _refined(first, first.fit.hypothesis, asked)
-    classical = _delayed(first.free, first, "classical", asked, True)
-    wider = _refined(first, "free", asked) if first.fit.structure == "free" else first
+    first = _of_either_hold(_Chosen(free, *_structure_of(free, request)), request)
+    if _stands(first, request) or request.structure != "auto":
+        return _refined(first, first.fit.hypothesis, request)
+    classical = _delayed(first.free, first, "classical", request, True)
+    wider = _refined(first, "free", request) if first.fit.structure == "free" else first
     return min((one for one in (classical, wider) if one is not None), key=_cost)
 
 
-def _delayed(free: FreeFit, best: _Chosen, hypothesis: str, asked: Asked, settled: bool) -> _Chosen | None:
+def _delayed(free: FreeFit, best: _Chosen, hypothesis: str, request: Request, settled: bool) -> _Chosen | None:
     """A structure with delays, in the rows of a free fit."""
-    layout = _layout(free, asked)
-    found = with_delays(free.projection, layout, hypothesis, free.region, _felt(free, asked), settled=settled)
+    layout = _layout(free, request)
+    found = with_delays(free.projection, layout, hypothesis, free.region, _felt(free, request), settled=settled)
     if found is None or found.fit.delays is None:
         return None
     at, late = found.free, _Chosen(free, found.fit, best.tests)
@@ -317,18 +329,18 @@ def _delayed(free: FreeFit, best: _Chosen, hypothesis: str, asked: Asked, settle
     return replace(late, free=now)
 
 
-def _refined(best: _Chosen, hypothesis: str, asked: Asked) -> _Chosen:
+def _refined(best: _Chosen, hypothesis: str, request: Request) -> _Chosen:
     """The same with delays that are no whole samples, and their errors; as it is where the data do not tell them."""
-    found = _delayed(best.free, best, hypothesis, asked, True)
+    found = _delayed(best.free, best, hypothesis, request, True)
     if found is None or found.fit.delays is None:
         return best
     # free residues and what is fed through say the same for all delays within a sample
     return found if np.all(found.fit.delay_errors < np.pi * found.fit.delays.step) else best
 
 
-def _stands(best: _Chosen, asked: Asked) -> bool:
+def _stands(best: _Chosen, request: Request) -> bool:
     """Whether the structure is one that is not rejected within the free model."""
-    if asked.structure == "auto":
+    if request.structure == "auto":
         return best.fit.structure in STRUCTURES[:2]
     at = best.free.projection
     unknowns = len(at.x) + int(at.shown.sum())
@@ -347,141 +359,161 @@ def _cost(one: _Chosen) -> float:
     return found + (0.0 if one.fit.delays else len(np.unique(one.free.delay[one.free.delay != 0])) * np.log(rows))
 
 
-def _felt(free: FreeFit, asked: Asked) -> Mask:
+def _felt(free: FreeFit, request: Request) -> Mask:
     """What is fed through in any case (outputs of the projection, inputs): to an accelerometer."""
-    felt = np.array([one == "acceleration" for one in asked.quantities])
+    felt = np.array([one == "acceleration" for one in request.quantities])
     inputs = len(free.channels[0].input_labels)
     return felt.repeat(inputs)[:, None] if free.per_entry else felt[:, None].repeat(inputs, axis=1)
 
 
 def _classical_cost(free: FreeFit, tests: tuple[HypothesisTest, ...]) -> float:
     """Criterion of the classical model of a fit, short of its unknowns; that of the fit itself where it has none."""
-    return free.criteria.bic + sum(one.likelihood_ratio for one in tests if one.hypothesis == "classical")
+    return free.criteria.bic + sum(test.likelihood_ratio for test in tests if test.hypothesis == "classical")
 
 
-def structured(free: FreeFit, asked: Asked, findings: tuple[Finding, ...] = ()) -> DampedResult:
-    """The same with the inputs held as they are."""
-    return _result(free, *_structure_of(free, asked), asked, (*findings, *free.findings))
+def structured(free: FreeFit, request: Request, findings: tuple[Finding, ...] = ()) -> PEMResult:
+    """Select the structure with the inputs held as they are."""
+    return _result(free, *_structure_of(free, request), request, (*findings, *free.findings))
 
 
-def _layout(free: FreeFit, asked: Asked) -> ChannelLayout:
+def _layout(free: FreeFit, request: Request) -> ChannelLayout:
     first = free.channels[0]
     return ChannelLayout(
-        len(first.output_labels), len(first.input_labels), free.scales, asked.quantities, asked.ports,
+        len(first.output_labels), len(first.input_labels), free.scales, request.quantities, request.ports,
         per_entry=free.per_entry,
     )  # fmt: skip
 
 
 def _tested(
-    free: FreeFit, asked: Asked, among: tuple[str, ...] | None = None
+    free: FreeFit, request: Request, among: tuple[str, ...] | None = None
 ) -> tuple[StructuredFit, tuple[HypothesisTest, ...]]:
-    """The simplest structure that is not rejected, and the tests of all, or of those `among` some."""
-    found = structure_tests(free.projection, _layout(free, asked), free.region, among)
-    return choose(found), found.tests
+    """Choose the simplest structure that is not rejected, and return the tests of all, or of those `among` some."""
+    tested = structure_tests(free.projection, _layout(free, request), free.region, among)
+    return choose(tested), tested.tests
 
 
-def _structure_of(free: FreeFit, asked: Asked) -> tuple[StructuredFit, tuple[HypothesisTest, ...]]:
-    """The structure that is asked for, or the simplest that is not rejected, and the tests of all."""
-    layout = _layout(free, asked)
-    if not free.order:
+def _structure_of(free: FreeFit, request: Request) -> tuple[StructuredFit, tuple[HypothesisTest, ...]]:
+    """Fit the structure that is given, or the simplest that is not rejected; return it with the tests made."""
+    layout, given = _layout(free, request), request.structure
+    if not free.states:
         return _without_modes(free), ()
-    if asked.structure == "auto" and free.interrupted:
-        return constrained(free.projection, layout, "free", free.region), ()
-    if asked.structure == "auto":
-        return _tested(free, asked)
-    return constrained(free.projection, layout, asked.structure, free.region, 1 if free.interrupted else None), ()
+    if given == "free" or free.interrupted or free.projection.deficiency:
+        given = "free" if given == "auto" else given
+        return constrained(free.projection, layout, given, free.region, 1 if free.interrupted else None), ()
+    if given == "auto":
+        return _tested(free, request)
+    fit, test = given_structure(free.projection, layout, given, free.region)
+    return fit, (test,)
 
 
-def _refuse_still(channels: Channels) -> None:
+def _refuse_still(channels: Channels, moving: bool) -> None:
     """Refuse outputs that are zero, and inputs whose response cannot be told from a free motion."""
+    seen = [bool(data.observed.any()) for data in channels]
+    if len(seen) > 1 and not all(seen):
+        place = seen.index(False)
+        raise IdentificationError(
+            f"experiment {place + 1} has no outputs: all {channels[place].samples} of them are NaN; leave it out"
+        )
     for k, label in enumerate(channels[0].output_labels):
-        values = [one.y[k] if isinstance(one, Recording) else one.response[k] for one in channels]
-        if not any(np.any((one != 0) & (one == one)) for one in values):
+        values = [data.y[k] if isinstance(data, Recording) else data.response[k] for data in channels]
+        if not any(np.any((value != 0) & (value == value)) for value in values):
             raise IdentificationError(f"output {label!r} is zero throughout; there is nothing to model: leave it out")
-    recordings = [one for one in channels if isinstance(one, Recording)]
+    recordings = [data for data in channels if isinstance(data, Recording)]
     for k, label in enumerate(channels[0].input_labels if recordings else ()):
-        if all(np.all(one.u[k] == one.u[k, 0]) for one in recordings):
+        if all(np.all(data.u[k] == data.u[k, 0]) for data in recordings):
+            if not moving and any(data.u[k, 0] != 0 for data in recordings):
+                continue
             raise IdentificationError(
                 f"input {label!r} is constant in every experiment, so that no response to it can be told from a free "
-                "motion: leave it out, or pass (None, y) if nothing drove the outputs"
+                "motion: leave it out, pass (None, y) if nothing drove the outputs, or initial_state='zero' if a step "
+                "was applied to a plant at rest"
             )
 
 
 def _without_modes(free: FreeFit) -> StructuredFit:
-    """A fit without modes: what is fed through, and constants."""
+    """Make a fit without poles: what is fed through, and constants."""
     at, entries = free.projection, (len(free.channels[0].output_labels), len(free.channels[0].input_labels))
-    none = np.zeros((0, *entries), complex)
     return StructuredFit(
-        "free",
-        "free",
-        np.zeros(0, complex),
-        none,
-        feedthrough_of(free),
-        None,
-        None,
-        at.loss,
-        at.unknowns,
-        free.variance,
-        at,
-        True,
-        at,
-    )
+        "free", "free", np.zeros(0, complex), np.zeros((0, *entries), complex), feedthrough_of(free), None, None,
+        at.loss, at.unknowns, free.variance, at, True, at,
+    )  # fmt: skip
 
 
-# --- what is asked ---------------------------------------------------------------------------------------------------
+# --- the request -----------------------------------------------------------------------------------------------------
 
 
-def asked_of(channels: Channels, structure: str, ports: Any, quantity: Any) -> Asked:
-    """What is asked of a fit to these channels, checked."""
+def request_of(channels: Channels, structure: str, ports: Any, quantity: Any, options: Options) -> Request:
+    """Check structure, ports and quantities against the channels."""
     outputs, inputs = channels[0].output_labels, channels[0].input_labels
     quantities = checked_quantities(quantity, outputs)
+    if options.method != "exact" or options.reachable:
+        structure = _lossless_port(structure, (len(outputs), len(inputs)), quantities, options)
     # a sensor of another kind has no power with the input
     assumed = ports is None and len(outputs) == len(inputs) == 1 and quantities != ("free",)
     pairs = ((0, 0),) if assumed else () if ports is None else _checks.port_pairs(ports, outputs, inputs)
     if structure == "passive" and not pairs:
         raise StructureError("structure='passive' needs driving points: name them, ports=[(output, input), ..]")
-    return Asked(structure, pairs, quantities, assumed)
+    return Request(structure, pairs, quantities, assumed)
 
 
-def starting_poles(guess: Any) -> ComplexArray | None:
-    """Poles to start from."""
+def _lossless_port(structure: str, shape: tuple[int, int], quantities: tuple[str, ...], options: Options) -> str:
+    """Refuse options of the models of the paper for others; return the structure."""
+    name, value = ("method", options.method) if options.method != "exact" else ("representation", "controllable")
+    if structure not in ("auto", "lossless") or shape[0] != 1 or shape[1] > 1 or "free" in quantities:
+        raise StructureError(
+            f"{name}={value!r} is for lossless models of one input and one output; this fit has structure="
+            f"{structure!r}, {shape[1]} inputs and {shape[0]} outputs ({', '.join(quantities)}): leave {name} out"
+        )
+    return "lossless"
+
+
+def starting_poles(guess: Any, channels: Channels, options: Options) -> ComplexArray | None:
+    """Poles to start from: those of a model, of positive imaginary part and real ones."""
     if guess is None:
         return None
-    if isinstance(guess, PEMResult):
-        return np.asarray(guess.poles)
-    form = guess if isinstance(guess, ModalForm) else getattr(guess, "modes", None)
-    if not isinstance(form, ModalForm):
-        raise StructureError(
-            f"initial_guess is a {type(guess).__name__}; for damped modes pass a result, a ModalForm or a system"
-        )
-    poles = np.asarray(form.mode_poles)
-    return poles[poles.imag > 0]
+    common_unit(list(channels), guess)
+    poles = poles_of(guess)
+    poles = poles if options.real_poles else poles[poles.imag > 0]
+    count, given = int(np.sum(poles.imag > 0)), isinstance(options.order, int)
+    if count > options.largest:
+        allowed = f"{options.largest} of the order" if given else f"{options.largest} that 'auto' may take"
+        raise StructureError(f"initial_guess has {count} modes, more than the {allowed}")
+    return poles
 
 
 # --- the result ------------------------------------------------------------------------------------------------------
 
 
 def _result(
-    free: FreeFit, fit: StructuredFit, tests: tuple[HypothesisTest, ...], asked: Asked, findings: tuple[Finding, ...]
-) -> DampedResult:
+    free: FreeFit,
+    fit: StructuredFit,
+    tests: tuple[HypothesisTest, ...],
+    request: Request,
+    findings: tuple[Finding, ...],
+) -> PEMResult:
     """The result of a fit, of one that is interrupted here without what is looked for beside the modes."""
     try:
-        return _judged(free, fit, tests, asked, findings)
+        return _judged(free, fit, tests, request, findings)
     except KeyboardInterrupt:
-        return _judged(replace(free, interrupted=True), fit, tests, asked, findings)
+        return _judged(replace(free, interrupted=True), fit, tests, request, findings)
 
 
 def _judged(
-    free: FreeFit, fit: StructuredFit, tests: tuple[HypothesisTest, ...], asked: Asked, findings: tuple[Finding, ...]
-) -> DampedResult:
+    free: FreeFit,
+    fit: StructuredFit,
+    tests: tuple[HypothesisTest, ...],
+    request: Request,
+    findings: tuple[Finding, ...],
+) -> PEMResult:
     """Parameters, experiments and judgement of a fit."""
     rank = np.lexsort((np.abs(fit.p), fit.p.imag == 0))
     poles = fit.p[rank]
     modes = int(np.sum(poles.imag != 0))
     residues = fit.residues[rank] * np.where(poles.imag == 0, 2.0, 1.0)[:, None, None]
     covariance = _covariance(fit, free, rank)
-    experiments = _experiments(_in_data(fit, free), free, rank, asked.quantities, fit)
-    shapes, errors = _shapes(fit, free, asked, poles, residues, covariance, experiments, rank)
+    measured = _in_data(fit, free)
+    experiments = _experiments(measured, fit, free, rank, request.quantities)
+    shapes, errors = _shapes(fit, free, request, poles, residues, covariance, experiments, rank)
     delays = 0 if fit.delays is None else fit.delays.count
     extra = fit.parameters - delays - (len(free.projection.x) + int(free.projection.shown.sum()))
     unknowns = free.unknowns + min(0, extra) + delays + len(free.scales)
@@ -511,10 +543,19 @@ def _judged(
     length = max((one.dt * one.samples for one in free.channels if isinstance(one, Recording)), default=np.inf)
     slow = np.flatnonzero(np.abs(poles[:modes]) * length < 2 * np.pi * (1 - 1e-6))
     single = residues.shape[1] == 1 and residues.shape[2] <= 1
-    shown = tuple(_squeezed(one, poles) for one in experiments) if single else experiments
+    shown: Any = experiments
+    if single:
+        lossless = fit.structure == "lossless" and residues.shape[2] == 1
+        errors_of_states = _state_errors(measured, fit, free, rank, request.quantities[0], lossless)
+        shown = tuple(
+            _squeezed(data, poles, residues, request.quantities[0], lossless, error)
+            for data, error in zip(experiments, errors_of_states, strict=True)
+        )
     far = any(one.cause is Cause.OUTLIERS for one in findings)
-    outcome = _outcome(free, fitted, whiteness, spare, far)
-    return DampedResult(
+    blind = bool(free.projection.deficiency)
+    refused = any(test.p < LEVEL for test in tests if test.hypothesis == request.structure)
+    outcome = _outcome(free, fitted, whiteness, spare, far or blind, refused)
+    return PEMResult(
         structure=fit.structure,
         poles=poles,
         residues=residues,
@@ -524,8 +565,8 @@ def _judged(
         participation=shapes.participation,
         shape_stderr=errors,
         shapes_scaled=bool(shapes.scaled.all() and len(shapes.scaled)),
-        ports=asked.ports,
-        quantities=asked.quantities,
+        ports=request.ports,
+        quantities=request.quantities,
         noise_variance=(variances * samples / spare).reshape(fit.feedthrough.shape[: 1 + free.per_entry]),
         experiments=shown,
         loss=float(fit.loss / samples),
@@ -544,10 +585,15 @@ def _judged(
         findings=findings,
         success=fit.converged and not free.interrupted,
         outcome=outcome,
-        message=_message(free, growing, slow, tests, findings, shapes, fitted, whiteness, outcome),
+        message=_message(
+            free, growing, slow, tests, findings, shapes, fitted, whiteness, outcome,
+            _what_is_blind(shown, poles, residues, request, free) if blind else "",
+        ),
         intersample="zoh" if free.per_entry else free.intersample,
         delay=delay,
         delay_stderr=delay_stderr,
+        method=free.method,
+        blind=blind,
     )  # fmt: skip
 
 
@@ -585,7 +631,11 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
         return np.full((len(order), len(order)), np.nan)
     found = inner[np.ix_(order, order)] * np.outer(size, size)
     # a structure may tell of residues that no experiment shows
-    absent = (order < 0) | ((lost > 0) & (np.diag(found) == 0))
+    unknown = split(free.projection.blind.astype(float))
+    hidden = np.concatenate(
+        [np.zeros(2 * n), *(part.ravel() for part in (unknown[0][rank], unknown[1][rank], unknown[2]))]
+    )
+    absent = (order < 0) | ((lost > 0) & (np.diag(found) == 0)) | (hidden > 0)
     found[absent] = np.nan
     found[:, absent] = np.nan
     return found
@@ -623,13 +673,13 @@ def _in_data(fit: StructuredFit, free: FreeFit) -> FreeProjection:
 
 
 def _experiments(
-    at: FreeProjection, free: FreeFit, rank: Indices, quantities: tuple[str, ...], fit: StructuredFit
+    at: FreeProjection, fit: StructuredFit, free: FreeFit, rank: Indices, quantities: tuple[str, ...]
 ) -> tuple[FittedChannels, ...]:
     """Predictions, free motions, offsets and backgrounds of each experiment, from the rows of its outputs."""
     n, found = len(at.p), []
     predictions = at.predictions() if n or free.per_entry else [None] * len(at.experiments)
-    rows = iter(zip(at.experiments, at.own, predictions, strict=True))
-    place, covariance = 0, fit.covariance if free.per_entry else np.zeros((0, 0))
+    rows = iter(zip(at.experiments, at.own, predictions, range(len(predictions)), strict=True))
+    covariance = fit.covariance if free.per_entry else np.zeros((0, 0))
     for one in free.channels:
         p, m, outputs = len(one.output_labels), len(one.input_labels), len(free.scales)
         in_time = isinstance(one, Recording)
@@ -639,8 +689,9 @@ def _experiments(
         predicted[~seen] = np.nan
         motion, offsets, drifts = np.zeros((n, outputs), complex), np.zeros(outputs), np.zeros(outputs)
         terms = np.zeros((2, 5, outputs), complex)  # of the background, and their standard errors
+        errors = np.full(outputs, np.nan)
         while left > 0:
-            part, own, values = next(rows)
+            part, own, values, place = next(rows)
             which = part.outputs
             scale = free.scales[which]
             left -= len(which)
@@ -648,11 +699,12 @@ def _experiments(
                 spread = np.array([np.diag(one) for one in at.own_covariances(place, covariance, free.variance)]).T
                 for term, *values_of in zip(part.terms, own, np.sqrt(np.maximum(spread, 0.0)), strict=True):
                     terms[:, term.power + 2, which] += (1j if term.turned else 1.0) * scale * np.array(values_of)
-            place += 1
             residues = at.residues[:, which] if n else np.zeros((0, len(which), m), complex)
             if isinstance(part, FreeRecord):
                 motion[:, which] = 2 * scale * part.motion_at_start(at.p, residues, own)[rank]
                 offsets[which], drifts[which] = scale * part.offset_at_start(own)
+                if part.offset:
+                    errors[which] = scale * [np.sqrt(spread[-1, -1]) for spread, _ in _own_spreads(at, fit, place)]
                 values = None if values is None else part.placed(values)
             if values is None:
                 predicted[which] = offsets[which, None]
@@ -661,7 +713,7 @@ def _experiments(
             else:
                 predicted[which] = values * scale[:, None]
         if in_time:
-            found.append(FittedChannels(one, motion, offsets, drifts, predicted))
+            found.append(FittedChannels(one, motion, offsets, drifts, predicted, offset_stderr=errors))
         else:
             nothing = np.zeros((n, 0), complex), np.zeros(p), np.zeros(p)
             coefficients, errors = terms.reshape(2, 5, p, m)
@@ -711,7 +763,7 @@ def _outliers(experiments: Sequence[FittedChannels], spare: int) -> list[Finding
 
 
 def _shapes(
-    fit: StructuredFit, free: FreeFit, asked: Asked, poles: ComplexArray, residues: ComplexArray, covariance: Array,
+    fit: StructuredFit, free: FreeFit, request: Request, poles: ComplexArray, residues: ComplexArray, covariance: Array,
     experiments: tuple[FittedChannels, ...], rank: Indices,
 ) -> tuple[ModeShapes, ComplexArray]:  # fmt: skip
     """Shapes with their standard errors: of residues, or of a free motion."""
@@ -719,62 +771,134 @@ def _shapes(
     count, size = len(poles), residues.size
     poles, residues = poles[:n], residues[:n]
     # a port that was not told stands only where the structure does
-    ports = () if asked.assumed and fit.structure == "free" else asked.ports
+    ports = () if request.assumed and fit.structure == "free" else request.ports
     if m:
-        shapes = ModeShapes.of(poles, residues, asked.quantities, ports)
+        shapes = ModeShapes.of(poles, residues, request.quantities, ports)
         entries = np.arange(n * p * m).reshape(n, p * m)
         places = [[l, count + l, *(2 * count + entries[l]), *(2 * count + size + entries[l])] for l in range(n)]
         blocks = [np.nan_to_num(covariance[np.ix_(one, one)]) for one in places]
-        return shapes, shape_errors(poles, residues, asked.quantities, ports, blocks)
+        return shapes, shape_errors(poles, residues, request.quantities, ports, blocks)
     motions = np.stack([one.free_amplitudes[:n] for one in experiments], axis=2)
-    shapes = ModeShapes.of(poles, motions, asked.quantities, ())
+    shapes = ModeShapes.of(poles, motions, request.quantities, ())
     shapes = ModeShapes(shapes.shapes, np.zeros((n, 0), complex), shapes.scaled)
-    return shapes, shape_errors(poles, motions, asked.quantities, (), _motion_covariances(fit, free, rank)[:n])
+    return shapes, shape_errors(
+        poles, motions, request.quantities, (), _motion_covariances(_in_data(fit, free), fit, free, rank)[:n]
+    )
 
 
-def _motion_covariances(fit: StructuredFit, free: FreeFit, rank: Indices) -> list[Array]:
-    """Covariance of `(d, zeta, Re, Im of the free motions)` of each mode, outputs by experiments."""
-    n, at, count, runs = len(fit.p), fit.projection, len(free.scales), len(free.channels)
-    J = natural_jacobian(fit.p)
-    found = []
-    inner = fit.covariance[: 2 * n, : 2 * n]
-    place, left = -1, 0
-    by: dict[int, list[tuple[int, int, Array, Array]]] = {l: [] for l in range(n)}
-    for k, rows in enumerate(at.experiments):
-        while left <= 0:
-            place += 1
-            left = int(free.channels[place].observed.any(axis=-1).sum())
-        left -= len(rows.outputs)
-        for o, (spread, by_poles) in zip(rows.outputs.tolist(), at.motions(k), strict=True):
-            scale = 2 * free.scales[o]
-            for l in range(n):
-                both = [l, n + l]
-                by[l].append((o, place, scale**2 * spread[np.ix_(both, both)], scale * by_poles[both]))
-    for l in rank.tolist():
-        size = count * runs
-        total = np.zeros((2 + 2 * size, 2 + 2 * size))
-        along = np.zeros((2 + 2 * size, 2 * n))
-        along[:2] = J[[l, n + l]]
-        for o, e, spread, slope in by[l]:
-            both = [2 + o * runs + e, 2 + size + o * runs + e]
-            along[both] = slope
-            total[np.ix_(both, both)] += spread * free.variance
-        found.append(total + along @ inner @ along.T)
+def _own_spreads(at: FreeProjection, fit: StructuredFit, experiment: int) -> list[tuple[Array, Array]]:
+    """Covariance of what belongs to an experiment, for each output, and with the poles and shared unknowns of it.
+
+    Columns of the latter: imaginary parts of the poles, real parts, what `shared` has of the output.
+    """
+    n, width, found = len(fit.p), len(at.shared), []
+    every = fit.covariance if n else at.covariance(fit.variance)
+    outputs = at.experiments[experiment].outputs.tolist()
+    for output, (inverse, by_poles, by_shared) in zip(outputs, at.own_sensitivities(experiment), strict=True):
+        places = np.concatenate([np.arange(2 * n), 2 * n + output * width + np.arange(width)]).astype(int)
+        along = np.concatenate([by_poles, by_shared], axis=1)
+        inner = every[np.ix_(places, places)]
+        found.append((fit.variance * inverse + along @ inner @ along.T, along @ inner))
     return found
 
 
-def _squeezed(one: FittedChannels, poles: ComplexArray) -> Any:
-    """An experiment of one input and one output as one of a lossless fit."""
-    kept_of = np.stack([poles == poles, poles.imag != 0], axis=1)
-    kept = single(one.record)
-    if isinstance(kept, FrequencyRecord):
+def _motion_covariances(at: FreeProjection, fit: StructuredFit, free: FreeFit, rank: Indices) -> list[Array]:
+    """Covariance of `(d, zeta, Re, Im of the free motions)` of each mode, outputs by experiments, of a free motion."""
+    n, count, runs = len(fit.p), len(free.scales), len(free.channels)
+    J, inner = natural_jacobian(fit.p), fit.covariance[: 2 * n, : 2 * n]
+    measured = np.cumsum([int(data.observed.any(axis=-1).sum()) for data in free.channels])
+    size, done = count * runs, 0
+    found = [np.zeros((2 + 2 * size, 2 + 2 * size)) for _ in range(n)]
+    for l, total in enumerate(found):
+        total[:2, :2] = J[[l, n + l]] @ inner @ J[[l, n + l]].T
+    for k, rows in enumerate(at.experiments):
+        place = int(np.searchsorted(measured, done, side="right"))
+        done += len(rows.outputs)
+        for output, (spread, with_poles) in zip(rows.outputs.tolist(), _own_spreads(at, fit, k), strict=True):
+            scale = 2 * free.scales[output]
+            for l, total in enumerate(found):
+                both = [2 + output * runs + place, 2 + size + output * runs + place]
+                total[np.ix_(both, both)] = scale**2 * spread[np.ix_([l, n + l], [l, n + l])]
+                total[np.ix_(both, [0, 1])] = scale * with_poles[[l, n + l], : 2 * n] @ J[[l, n + l]].T
+                total[np.ix_([0, 1], both)] = total[np.ix_(both, [0, 1])].T
+    return [found[l] for l in rank.tolist()]
+
+
+# --- one input and one output ----------------------------------------------------------------------------------------
+
+
+def _squeezed(
+    data: FittedChannels, poles: ComplexArray, residues: ComplexArray, quantity: str, lossless: bool, errors: Array
+) -> FittedExperiment:
+    """Return an experiment of one input and one output without dimensions for these, with its initial state."""
+    record = single(data.record)
+    if isinstance(record, FrequencyRecord):
         nothing = np.zeros(0), np.zeros(0, complex), 0.0
-        return FittedExperiment(kept, *nothing, one.predicted[0, 0], background=one.background)
-    motion = one.free_amplitudes[:, 0]
-    state = np.stack([motion.real, motion.imag], axis=1)[kept_of]
+        return FittedExperiment(record, *nothing, data.predicted[0, 0], background=data.background)
+    motion = data.free_amplitudes[:, 0]
+    if lossless:
+        r = weights_of(poles, residues[:, 0, 0], quantity)
+        state = state_from_amplitudes(from_frequencies(poles.imag, r), motion.conj(), quantity)
+    else:
+        kept = np.stack([poles == poles, poles.imag != 0], axis=1)
+        state = np.stack([motion.real, motion.imag], axis=1)[kept]
     # among several experiments a free motion has an input of 0
-    kept = replace(kept, time=kept.clock, driven=bool(kept.u.any()))
-    return FittedExperiment(kept, state, motion, float(one.offsets[0]), one.predicted[0], float(one.drifts[0]))
+    record = replace(record, time=record.clock, driven=bool(record.u.any()))
+    return FittedExperiment(
+        record, state, motion, float(data.offsets[0]), data.predicted[0], float(data.drifts[0]),
+        initial_stderr=errors, offset_stderr=float(data.offset_stderr[0]),
+    )  # fmt: skip
+
+
+def _state_errors(
+    at: FreeProjection, fit: StructuredFit, free: FreeFit, rank: Indices, quantity: str, lossless: bool
+) -> list[Array]:
+    """Standard errors of the initial state in each experiment of one input and one output; NaN if it began at rest.
+
+    Of lossless modes, `q + i p = conj(a) / (c d sqrt(r))` with the motion `a` and the weight `c` of the state in the
+    output; else the state is the motion.
+    """
+    n, scale, found, rows = len(fit.p), float(free.scales[0]), [], 0
+    size = 2 * n if lossless else int(np.sum(np.where(fit.p.imag == 0, 1, 2)))
+    for data in free.channels:
+        seen = bool(data.observed.any()) and isinstance(data, Recording)
+        moving = seen and at.experiments[rows].moving and n > 0
+        if not moving:
+            found.append(np.full(size * isinstance(data, Recording), np.nan))
+        else:
+            ((spread, crossed),) = _own_spreads(at, fit, rows)
+            if not lossless:
+                errors = 2 * scale * np.sqrt(np.diag(spread)[: 2 * n].reshape(2, n).T)[rank]
+                kept = np.stack([np.ones(n, bool), fit.p[rank].imag != 0], axis=1)
+                found.append(errors[kept])
+            else:
+                found.append(_modal_state_errors(at, fit, rows, spread, crossed, rank, scale, quantity))
+        rows += int(data.observed.any())
+    return found
+
+
+def _modal_state_errors(
+    at: FreeProjection, fit: StructuredFit, rows: int, spread: Array, crossed: Array, rank: Indices, scale: float,
+    quantity: str,
+) -> Array:  # fmt: skip
+    """Standard errors of `(q, p)` of lossless modes."""
+    n, power, d = len(fit.p), POWERS[quantity], np.abs(fit.p)
+    own, shared = at.own[rows][:, 0], at.shared[:, 0]
+    per_weight = residue_of_unit_weight(d, power)
+    r = (scale * (shared[:n] + 1j * shared[n : 2 * n]) / per_weight).real
+    shown = r > 0
+    gain = 1.0 / (output_weight(d, quantity)[0] * d * np.sqrt(np.where(shown, r, 1.0)))
+    motion = 2 * scale * (own[:n] - 1j * own[n : 2 * n])
+    state, l, width = gain * motion, np.arange(n), 2 * n + len(shared)
+    T = np.zeros((n, width + len(own)), complex)
+    T[l, l] = state / d * ((0.0, -1.0, -2.0)[power] + 0.5 * power)
+    T[l, 2 * n + l] = -0.5 * state / np.where(shown, r, 1.0) * scale * (1 / per_weight).real
+    T[l, 3 * n + l] = -0.5 * state / np.where(shown, r, 1.0) * scale * (1j / per_weight).real
+    T[l, width + l], T[l, width + n + l] = 2 * scale * gain, -2j * scale * gain
+    joint = np.block([[fit.covariance, crossed.T], [crossed, spread]])
+    both = np.concatenate([T.real, T.imag])
+    errors = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", both, joint, both), 0.0)).reshape(2, n)
+    return np.where(shown, errors, np.nan)[:, rank].ravel()
 
 
 # --- the judgement ---------------------------------------------------------------------------------------------------
@@ -784,11 +908,14 @@ def _rejection(test: HypothesisTest) -> Finding:
     return Finding(REJECTED[test.hypothesis], (test.p, float(test.dof)), 0.5 * test.likelihood_ratio)
 
 
-def _outcome(free: FreeFit, fitted: float, whiteness: float, spare: int, far: bool) -> Outcome:
+def _outcome(free: FreeFit, fitted: float, whiteness: float, spare: int, far: bool, refused: bool) -> Outcome:
+    """Judge a fit; `far` says whether values or blind parameters cast doubt, `refused` whether its structure is."""
     if free.interrupted:
         return Outcome.INTERRUPTED
-    if not free.order:
+    if not free.states:
         return Outcome.NOTHING
+    if refused:
+        return Outcome.DOUBTFUL if fitted >= GOOD_FIT else Outcome.NOT_DESCRIBED
     if whiteness < WHITE:
         return Outcome.COLOURED if fitted >= GOOD_FIT else Outcome.DOUBTFUL
     if far:
@@ -796,20 +923,46 @@ def _outcome(free: FreeFit, fitted: float, whiteness: float, spare: int, far: bo
     return Outcome.CONSISTENT if spare >= 20 or free.rounding else Outcome.UNJUDGED
 
 
+def _what_is_blind(
+    experiments: Any, poles: ComplexArray, residues: ComplexArray, request: Request, free: FreeFit
+) -> str:  # fmt: skip
+    """Say what the inputs do not show, and of one record which input would."""
+    data = experiments[0]
+    if len(experiments) == 1 and isinstance(data, FittedExperiment) and np.all(poles.imag) and len(residues[0, 0]):
+        record, n = data.record, len(poles)
+        if isinstance(record, Record) and "free" not in request.quantities:
+            hold = Hold(record.dt, free.method, free.intersample)
+            y = np.where(record.observed, record.y, 0.0)
+            rest = not data.free_amplitudes.any()
+            port = PortRecord(record.u, y, record.observed, hold, rest, request.quantities[0], record.driven)
+            shown = examine(port, np.abs(poles), np.ones(n), data.free_amplitudes.conj(), time_unit=record.time_unit)
+            if shown.information.is_weak:
+                return f"The record {shown.headline}. {shown.message}"
+    return (
+        "The inputs do not show the residues: others, with other initial motions, give the same outputs. Record with "
+        "inputs of more frequencies, independent of one another; phc.excitation says which."
+    )
+
+
 def _message(
     free: FreeFit, growing: Indices, slow: Indices, tests: tuple[HypothesisTest, ...], findings: tuple[Finding, ...],
-    shapes: ModeShapes, fitted: float, whiteness: float, outcome: Outcome,
+    shapes: ModeShapes, fitted: float, whiteness: float, outcome: Outcome, blind: str,
 ) -> str:  # fmt: skip
     """What the judgement rests on, in sentences."""
     if outcome is Outcome.NOTHING:
         return "Nothing to model: no mode improves the BIC."
     parts = [CUT_SHORT] * (outcome is Outcome.INTERRUPTED)
-    if outcome is Outcome.DOUBTFUL:
-        why = "some values are far out of the noise"
-        if whiteness < WHITE:
+    parts += [blind] * bool(blind)
+    if outcome is Outcome.NOT_DESCRIBED:
+        parts.append(f"With a fit of {fitted:.0f} % a model of this structure does not describe the data.")
+    elif outcome is Outcome.DOUBTFUL and not blind:
+        why = "the data reject the structure that was given"
+        if any(finding.cause is Cause.OUTLIERS for finding in findings):
+            why = "some values are far out of the noise"
+        if whiteness < WHITE and fitted < GOOD_FIT:
             why = f"the fit is {fitted:.0f} %, less than {GOOD_FIT:.0f} %, and what is left is no white noise"
         parts.append(f"Doubtful, as {why}.")
-        if whiteness < WHITE and not any(len(one.input_labels) for one in free.channels):
+        if fitted < GOOD_FIT and whiteness < WHITE and not any(len(one.input_labels) for one in free.channels):
             parts.append(
                 "This is no free decay if forces that were not measured, such as wind or traffic, act all along: "
                 "record a decay or the forces, or use a program for ambient excitation."

@@ -8,18 +8,16 @@ from typing import Any
 import numpy as np
 
 from ..._display import Report, aligned, counted, html_heading, html_report, html_table, p_value, percent, to_its_error
-from ..._types import Array
-from ..._units import hertz_size, rate, step_of
+from ..._units import step_of
 from ...exceptions import printable, shortened
 from ..data.quantities import measured_by
-from ..data.time_record import Record
 
 _SHOWN = 6  # experiments listed one by one
 _NAMED = 4  # channels
 _BACKGROUND = 0.01  # of the response, from which it is told
 
 
-class FitReport(Report):
+class ModalReport(Report):
     """What the result of a fit shows of itself: lines on data and quality, tables, and its message."""
 
     def __str__(self: Any) -> str:
@@ -36,109 +34,53 @@ class FitReport(Report):
         head = [text.replace("+-", "±") for text in head]
         return html_heading(title) + html_report("\n".join(lines)) + html_table(head, rows) + html_report(self.message)
 
-
-class LosslessReport(FitReport):
-    """What the result of a lossless fit shows of itself."""
-
     def _headline(self: Any) -> str:
-        return f"{counted(self.order, 'mode')}, fit {percent(self.fit_percent)}, {self.verdict}"
+        return f"{counted_poles(self)}, {self.structure}, fit {percent(self.fit_percent)}, {self.verdict}"
 
     def _mode_table(self) -> list[list[str]]:
         return mode_table(self)
 
     def _tables(self: Any) -> list[list[str]]:
-        damped = [] if self.damped is None else [damped_lines(self.damped)]
-        return [aligned(self._mode_table()), *damped]
+        shown = (self._mode_table(), real_pole_table(self), test_table(self.tests))
+        return [aligned(one) for one in shown if len(one) > 1]
 
     def _lines(self: Any) -> list[str]:
-        first = self.experiments[0].record
-        missing = sum(int((~one.record.observed).sum()) for one in self.experiments)
-        driven = [one.record for one in self.experiments if not isinstance(one.record, Record) or one.record.driven]
-        source = f" from {driven[0].input_label!r}" if driven else " in free motion"
+        inputs, outputs = self.input_labels, self.output_labels
+        source = f" from {_listed(inputs)}" if inputs else " in free motion"
+        ports = [f"{outputs[o]}:{inputs[i]}" for o, i in self.ports]
+        scale = "unit modal mass" if self.shapes_scaled else "the largest entry 1, unscaled"
         return [
-            f"Port-Hamiltonian model of {first.output_label!r}{source}: {counted(self.order, 'mode')}",
+            f"{counted_poles(self)} of {_listed(outputs)}{source}",
             f"  verdict         {self.verdict}",
-            *_data_lines(self, missing),
+            f"  structure       {self.structure}",
+            *_channel_lines(self),
+            *[f"  ports           {_listed(ports)}"] * bool(ports),
+            *_delay_line(self),
+            *[f"  mode shapes     {scale}"] * (len(outputs) > 1),
+            *_offset_line(self),
             f"  fit             {self.fit_percent:.2f} %",
-            f"  noise           standard deviation {self.noise.floor:.4g}"
-            + f", and {100 * self.noise.share:.2g} % of the gain" * bool(self.noise.share),
             _criteria_line(self),
         ]
+
+
+def _offset_line(result: Any) -> list[str]:
+    """Offsets of the first experiments and outputs, with their errors, where any was estimated."""
+    values, errors = np.ravel(result.offsets), np.ravel(result.stderr["offset"])
+    if not np.isfinite(errors).any():
+        return []
+    pairs = [f"{value:.6g} +- {error:.2g}" for value, error in zip(values[:_SHOWN], errors[:_SHOWN], strict=True)]
+    return [f"  offset          {', '.join(pairs)}" + ", ..." * (len(values) > _SHOWN)]
 
 
 def _criteria_line(result: Any) -> str:
     return f"  BIC             {result.bic:.6g}   (AIC {result.aic:.6g}, log-likelihood {result.loglik:.6g})"
 
 
-def mode_table(result: Any) -> list[list[str]]:
-    """Frequencies, residues and weights with their standard errors, to the digits that these leave; a head first."""
-    unit, d, r, stderr = result.time_unit, result.d, result.r, result.stderr
-    head = ["mode", f"d [{rate(unit)}]", "+-", f"f [{'1/time' if unit is None else 'Hz'}]"]
-    columns = [(d, stderr["d"]), (result.hertz, stderr["d"] / hertz_size(unit))]
-    columns += [(r * d, residue_errors(result)), (r, stderr["r"])]
-    cells = [
-        [(to_its_error(*pair), to_its_error(pair[1], pair[1])) for pair in zip(*each, strict=True)] for each in columns
-    ]
-    rows = [
-        [str(l + 1), *cells[0][l], cells[1][l][0], *cells[2][l], *cells[3][l], _note(result, l)]
-        for l in range(result.order)
-    ]
-    return [[*head, "residue kappa", "+-", "weight r", "+-", "note"], *rows]
+# --- tables ----------------------------------------------------------------------------------------------------------
 
 
-def residue_errors(result: Any) -> Array:
-    """Standard errors of the residues `kappa = r d`; NaN where the weight is held."""
-    n, d, r = result.order, result.d, result.r
-    C = result.covariance
-    l = np.arange(n)
-    return np.sqrt(np.maximum(r**2 * C[l, l] + d**2 * C[n + l, n + l] + 2 * r * d * C[l, n + l], 0.0))
-
-
-def _note(result: Any, l: int) -> str:
-    return "not seen" if l in result.unseen else "held at 0" if l in result.active else ""
-
-
-def _data_lines(result: Any, missing: int) -> list[str]:
-    """What was measured, and how the model meets it."""
-    records = [one.record for one in result.experiments]
-    tail = f", {missing} outputs missing" * bool(missing)
-    sensor = [f"  measured        {result.quantity} of the port"] * (result.quantity != "velocity")
-    if not isinstance(records[0], Record):
-        points = sum(record.samples for record in records)
-        return [f"  response        {points} frequencies{tail}", *sensor]
-    if len(records) == 1:
-        lines = [f"  record          {records[0].samples} samples, {step_of(records[0])}{tail}"]
-    else:
-        samples = sum(record.samples for record in records)
-        lines = [f"  experiments     {len(records)}, {samples} samples{tail}"]
-        for k, one in enumerate(result.experiments[:_SHOWN], start=1):
-            step = f"{one.record.samples} samples, {step_of(one.record)}, fit {one.fit_percent:.2f} %"
-            lines.append(f"    {k:4d}          {step}")
-    method = result.method + (
-        f", {result.intersample} input" if result.method != "euler" else " (not lossless: its energy grows)"
-    )
-    lines += [f"  discretisation  {method}", *sensor]
-    if np.isfinite(result.offset_stderr).any():
-        shown = ", ".join(
-            f"{value:.6g} +- {error:.2g}"
-            for value, error in zip(result.offsets[:_SHOWN], result.offset_stderr[:_SHOWN], strict=True)
-        )
-        lines.append(f"  offset          {shown}")
-    return lines
-
-
-# --- damped modes ----------------------------------------------------------------------------------------------------
-
-
-def damped_lines(model: Any) -> list[str]:
-    """Damped modes as a table of frequencies, damping ratios and residues, with their standard errors."""
-    through = to_its_error(model.feedthrough, float(model.stderr["feedthrough"]))
-    fed = f", fed through {through}" * bool(model.feedthrough)
-    return [f"  With damping, sensor anywhere: fit {model.fit_percent:.2f} %{fed}", *aligned(damped_table(model))]
-
-
-def damped_table(model: Any) -> list[list[str]]:
-    """Cells of that table, a head first; of one input and output the residue, with the error of its size."""
+def mode_table(model: Any) -> list[list[str]]:
+    """Cells of a table of modes, a head first; of one input and output with residues and the errors of their sizes."""
     n, stderr = model.order, model.stderr
     count = len(model.poles)
     residues = np.reshape(model.residues, (count, model.residues.size // max(1, count)))[:n]
@@ -154,11 +96,9 @@ def damped_table(model: Any) -> list[list[str]]:
         columns.append((np.abs(rho), np.sqrt(np.maximum(along, 0.0))))
         head += ["|residue|", "+-", "phase [deg]"]
         last = [f"{np.degrees(np.angle(one)):.1f}" for one in rho]
-    elif hasattr(model, "phase_collinearity"):
-        head.append("collinearity")
-        last = [f"{one:.3f}" for one in model.phase_collinearity]
     else:
-        head.append("")
+        head.append("collinearity")
+        last = [f"{value:.3f}" for value in model.phase_collinearity]
     rows = []
     for k in range(n):
         pairs = [(values[k], errors[k]) for values, errors in columns]
@@ -182,37 +122,6 @@ def real_pole_table(model: Any) -> list[list[str]]:
         cells = [text for value, error in pairs for text in (to_its_error(value, error), to_its_error(error, error))]
         rows.append([str(k + 1), *cells])
     return [head, *rows]
-
-
-class DampedReport(FitReport):
-    """What the result of a fit of damped modes shows of itself."""
-
-    def _headline(self: Any) -> str:
-        return f"{counted_poles(self)}, {self.structure}, fit {percent(self.fit_percent)}, {self.verdict}"
-
-    def _mode_table(self) -> list[list[str]]:
-        return damped_table(self)
-
-    def _tables(self: Any) -> list[list[str]]:
-        shown = (self._mode_table(), real_pole_table(self), test_table(self.tests))
-        return [aligned(one) for one in shown if len(one) > 1]
-
-    def _lines(self: Any) -> list[str]:
-        inputs, outputs = self.input_labels, self.output_labels
-        source = f" from {_listed(inputs)}" if inputs else " in free motion"
-        ports = [f"{outputs[o]}:{inputs[i]}" for o, i in self.ports]
-        scale = "unit modal mass" if self.shapes_scaled else "the largest entry 1, unscaled"
-        return [
-            f"{counted_poles(self)} of {_listed(outputs)}{source}",
-            f"  verdict         {self.verdict}",
-            f"  structure       {self.structure}",
-            *_channel_lines(self),
-            *[f"  ports           {_listed(ports)}"] * bool(ports),
-            *_delay_line(self),
-            *[f"  mode shapes     {scale}"] * (len(outputs) > 1),
-            f"  fit             {self.fit_percent:.2f} %",
-            _criteria_line(self),
-        ]
 
 
 def _delay_line(result: Any) -> list[str]:

@@ -1,4 +1,4 @@
-"""What every result of a fit is: modes with their errors, what was tested, and a plain verdict."""
+"""What every result of a fit can do: views of its modes, comparisons, pictures, files."""
 
 from __future__ import annotations
 
@@ -57,63 +57,13 @@ class OrderRow(Frozen):
     d: Array
 
 
-class PEMResult(Report, Frozen):
-    """Result of `pem`: a `LosslessResult` or a `DampedResult`, which have all of this.
-
-    Attributes
-    ----------
-    system : PortHamiltonian or control.StateSpace
-        The identified model.
-    structure : {'lossless', 'classical', 'passive', 'free'}
-        What the model assumes of losses and sensors.
-    tests : tuple of HypothesisTest
-        The model, and structures that were tried, against wider ones: hypothesis, likelihood ratio, degrees of
-        freedom, p-value.
-    findings : tuple of Finding
-        What the data show beside the modes.
-    natural_frequencies, damping_ratios : ndarray, shape (n,)
-        Of modes, `|p|`, ascending, rad per unit time, and `-Re p / |p|`.
-    real_poles, time_constants : ndarray, shape (r,)
-        Real poles, the slowest first, and `-1/p`; negative where one grows.
-    states : int
-        Number of all poles, `2 n + r`.
-    poles : ndarray of complex, shape (n + r,)
-        Those of positive imaginary part, then the real ones.
-    residues : ndarray of complex, shape (n + r, p, m)
-        Of p outputs, as measured, and m inputs at each of the poles; those at the conjugates are their conjugates.
-    feedthrough : ndarray, shape (p, m)
-        Response at infinity.
-    shapes : ndarray of complex, shape (n, p)
-        Mode shapes in units of velocity: of unit modal mass where `shapes_scaled`, else with the largest entry 1.
-    participation : ndarray of complex, shape (n, m)
-        What the inputs make of each mode: residues are `shape participation^T`, of outputs of other quantities times
-        powers of the pole.
-    shapes_scaled : bool
-        Whether a driving point sets the scale of all shapes.
-    stderr : mapping
-        Standard errors under the keys 'natural_frequencies', 'damping_ratios', 'residues', 'shapes' and others; those
-        of complex numbers are complex, of real and imaginary part.
-    experiments : tuple
-        What the fit says of each experiment.
-    order_table : tuple of OrderRow
-        Loss and criteria for each order tried.
-    loss, loglik, aic, bic, fit_percent : float
-        Mean squared residual, Gaussian log-likelihood, the criteria made of it, and `100 (1 - |y - yhat| / |y - mean|)`
-        of all outputs.
-    success : bool
-        Whether the refinement converged, uninterrupted.
-    outcome : Outcome
-        What the fit amounts to; `verdict` is its text, and `message` what it rests on.
-
-    Examples
-    --------
-    See `pem`.
-    """
+class FittedModes(Report, Frozen):
+    """What follows from the attributes of a `PEMResult`: views of its modes, comparisons, pictures and files."""
 
     if TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """Those of either kind."""
+            """Attributes of the result."""
 
     @property
     def natural_frequencies(self) -> Array:
@@ -207,7 +157,7 @@ class PEMResult(Report, Frozen):
         >>> result.mac(result)
         array([[1.]])
         """
-        if isinstance(other, PEMResult | ModalForm):
+        if isinstance(other, FittedModes | ModalForm):
             return mac(_compared_shapes(self), _compared_shapes(other))
         try:
             shapes = np.array(other, dtype=complex)
@@ -366,7 +316,7 @@ class PEMResult(Report, Frozen):
             name: np.reshape(getattr(self, names.get(name, name)), np.shape(error))
             for name, error in self.stderr.items()
         }
-        lower = dict.fromkeys(("d", "r", "natural_frequencies", "hertz"), 0.0)
+        lower = dict.fromkeys(("d", "r", "kappa", "natural_frequencies", "hertz"), 0.0)
         return intervals(values, self.stderr, level, lower, self._spare)
 
     def summary(self) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from ..._types import Array
 from ..._units import SECONDS
 from ...exceptions import StructureError
-from ...io.codecs import Codec, system_from_dict, system_to_dict
+from ...io.codecs import Codec
 from ...io.json_format import Fields
 from ...modal.discretization import INTERSAMPLE, METHODS
 from ..data.channels import Recording, ResponseMatrix
@@ -23,25 +23,23 @@ from ..data.time_record import InTime, Record
 from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import QUANTITIES
 from ..regression.prediction import FittedExperiment, ResponseBackground
-from ..search.formulation import REPRESENTATIONS
-from ..search.path import Start
-from ..search.response_noise import NoiseKind, NoiseLaw
-from ..uncertainty.fisher import Information
-from .damped_result import DampedModel, DampedResult
-from .lossless_result import LosslessResult
+from .older_files import lossless_from_dict
+from .pem_result import PEMResult
 from .result import STRUCTURES, OrderRow
 
 _KEYS = {"u": "input", "y": "output", "outcome": "verdict"}  # fields under another name in a document
 _WORDS = {
-    "method": METHODS, "intersample": INTERSAMPLE, "quantity": QUANTITIES, "representation": REPRESENTATIONS,
+    "method": METHODS, "intersample": INTERSAMPLE, "quantity": QUANTITIES,
     "time_unit": SECONDS, "structure": STRUCTURES,
 }  # fmt: skip
 # older files do not have them, or they are left out where there is nothing to say
 _MAY_LACK = {
-    "drift", "outliers", "noise", "output", "experiment", "findings", "tests", "damped", "time_unit", "title", "delay",
-    "delay_stderr", "background",
+    "drift", "outliers", "output", "experiment", "findings", "tests", "time_unit", "title", "method", "blind",
+    "initial_stderr", "offset_stderr", "delay", "delay_stderr", "background",
 }  # fmt: skip
-_MAY_BE_NAN = {"covariance", "offset_stderr", "y", "response", "shape_stderr", "delay_stderr"}
+_MAY_BE_NAN = {
+    "covariance", "offset_stderr", "initial_stderr", "y", "response", "shape_stderr", "delay_stderr",
+}  # fmt: skip
 
 # the length of each array, None where the file decides it; of places in a list, how many there are
 Shapes = Mapping[str, tuple[int | None, ...]]
@@ -143,44 +141,6 @@ def _places(fields: Fields, name: str, count: int | None = None) -> tuple[int, .
 # --- a result --------------------------------------------------------------------------------------------------------
 
 
-def _to_dict(result: LosslessResult) -> dict[str, Any]:
-    found = _written(result, "system", "experiments", "order_table", "starts", "damped") | {
-        "system": system_to_dict(result.system),
-        "experiments": _counted(map(_written, result.experiments)),
-        "order_table": _table(result.order_table, "order", "loss", "aic", "bic"),
-        "starts": _table(result.starts, "kind", "loss") | {"order": [len(start.d) for start in result.starts]},
-    }
-    if result.damped is None:
-        return found
-    # its data are those of the fit
-    damped = _written(result.damped, "result") | {"result": _modal_to_dict(result.damped.result, "record")}
-    return found | {"damped": damped}
-
-
-def _from_dict(fields: Fields) -> Any:
-    system = system_from_dict(fields.nested("system"))
-    n = system.n
-    experiments = _experiments(fields, n)
-    size = 2 * n + sum(len(one.initial_state) for one in experiments)
-    starts, information = fields.nested("starts"), fields.nested("identifiability")
-    kinds, known = starts.texts("kind"), len(information.texts("names"))
-    losses, sizes = starts.array("loss", (len(kinds),)).tolist(), _places(starts, "order")
-    shapes: Shapes = {"covariance": (size, size), "offset_stderr": (len(experiments),), "active": (n,), "unseen": (n,)}
-    optional: dict[str, Any] = {"damped": _damped(fields.nested("damped"), experiments)} if "damped" in fields else {}
-    if "noise" not in fields:  # older files tell of one variance only
-        optional["noise"] = NoiseLaw(NoiseKind.CONSTANT, float(np.sqrt(fields.number("noise_variance"))))
-    return _read(
-        LosslessResult, fields, shapes,
-        system=system, experiments=experiments,
-        identifiability=_read(
-            Information, information, {"lengths": (known,), "singular_values": (known,), "vectors": (known, known)}
-        ),
-        order_table=_order_table(fields),
-        starts=tuple(Start(*one) for one in zip(kinds, losses, _split(starts, sizes), strict=True)),
-        **optional,
-    )  # fmt: skip
-
-
 def _table(rows: Iterable[Any], *names: str) -> dict[str, Any]:
     """Columns of rows that have frequencies each, these one after the other."""
     columns: dict[str, Any] = {name: [getattr(row, name) for row in rows] for name in names}
@@ -241,15 +201,7 @@ def _experiment(fields: Fields, n: int, states: int, record: Any) -> Any:
     return _read(FittedExperiment if single else FittedChannels, fields, shapes, **known)
 
 
-def _damped(fields: Fields, fitted: tuple[FittedExperiment, ...]) -> Any:
-    result = _modal_from_dict(fields.nested("result"), [one.record for one in fitted])
-    return _read(DampedModel, fields, dict.fromkeys(("damped", "negative"), (result.order,)), result=result)
-
-
-# --- a result of damped modes ----------------------------------------------------------------------------------------
-
-
-def _modal_to_dict(result: DampedResult, *apart: str) -> dict[str, Any]:
+def _to_dict(result: PEMResult, *apart: str) -> dict[str, Any]:
     rows, columns = np.triu_indices(len(result.covariance))
     return _written(result, "experiments", "order_table", "ports") | {
         "covariance": result.covariance[rows, columns],
@@ -278,12 +230,16 @@ def _modal_from_dict(fields: Fields, records: Sequence[Any] = ()) -> Any:
     covariance = np.empty((size, size))
     covariance[rows, columns] = covariance[columns, rows] = fields.array("covariance", (len(rows),), finite=False)
     return _read(
-        DampedResult, fields, shapes, experiments=experiments, ports=tuple(pairs), covariance=covariance,
+        PEMResult, fields, shapes, experiments=experiments, ports=tuple(pairs), covariance=covariance,
         order_table=_order_table(fields),
     )  # fmt: skip
 
 
+def _from_dict(fields: Fields) -> Any:
+    return _modal_from_dict(fields) if "poles" in fields else lossless_from_dict(fields, _experiments, _order_table)
+
+
 CODECS = {
-    "PEMResult": Codec(LosslessResult, _to_dict, _from_dict),
-    "DampedResult": Codec(DampedResult, _modal_to_dict, _modal_from_dict),
+    "PEMResult": Codec(PEMResult, _to_dict, _from_dict),
+    "DampedResult": Codec(PEMResult, _to_dict, _modal_from_dict),  # of older files
 }

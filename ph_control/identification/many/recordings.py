@@ -26,7 +26,7 @@ from ...io.measurements import read_measurements
 from ..data.data_frames import is_data_frame
 from ..diagnosis.verdict import Outcome
 from ..fit.pem import pem
-from ..fit.result import PEMResult
+from ..fit.pem_result import PEMResult
 
 _LETTERS = 60  # of the name of a recording in that of its file
 

@@ -62,13 +62,24 @@ def column_lengths(columns: Array) -> Array:
     return np.where(lengths > 0, lengths, 1.0)
 
 
-def orthogonal(columns: Array) -> tuple[Array, Array]:
-    """Orthonormal basis of columns (m, k), and the matrix that turns coordinates in it into coefficients."""
+def orthogonal(columns: Array, samples: int = 0) -> tuple[Array, Array]:
+    """Orthonormal basis of columns (m, k), and the matrix that turns coordinates in it into coefficients.
+
+    Directions that are rounding of so many samples, or of m, are left out.
+    """
     lengths = column_lengths(columns)
     Q, R = np.linalg.qr(columns / lengths)
     U, s, Vt = np.linalg.svd(R)
-    kept = s > tolerance(*columns.shape) * s.max(initial=0.0)
+    kept = s > tolerance(max(samples, len(columns)), columns.shape[1]) * s.max(initial=0.0)
     return Q @ U[:, : len(s)][:, kept], (Vt[: len(s)][kept].T / s[kept]) / lengths[:, None]
+
+
+def null_space(columns: Array, samples: int) -> Array:
+    """Directions among columns (m, k), of unit length each, that `orthogonal` leaves out, one a row."""
+    scaled = columns / column_lengths(columns)
+    _, s, Vt = np.linalg.svd(np.linalg.qr(scaled, mode="r"), full_matrices=True)
+    rank = int(np.sum(s > tolerance(max(samples, len(columns)), columns.shape[1]) * s.max(initial=0.0)))
+    return np.asarray(Vt[rank:])
 
 
 def without(values: Array, basis: Array) -> Array:

@@ -19,17 +19,17 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
-from .elimination import LinearProjection, column_lengths, eliminate, inverse_gram, orthogonal, without
+from .elimination import LinearProjection, eliminate, inverse_gram, null_space, orthogonal, without
 from .frequency_rows import FreeResponse
 from .sections import PoleRegion, Sections
 from .spectral_rows import FreeWindow
 from .time_rows import FreeRecord
-from .triangular import reduced, triangle
+from .triangular import reduced
 from .tuning import TUNING
 from .variable_projection import Progress, refine
 
 _STEPS = 40
-_SHOWN = 1e-6  # part of a column of unit length that is not among others
+_TRACE = 1e-6  # part of a unit vector without a trace, from which on a number belongs to it
 
 # A complex coefficient has two columns, for its real and its imaginary part: those of the free motion, if modes may be
 # `moving` at the start, then of each input those of the residues (2n), and what is fed `through` if that may be.
@@ -174,6 +174,22 @@ class FreeProjection(LinearProjection):
             found[:, one.outputs] = np.any(one.columns, axis=0, keepdims=True).T
         return found
 
+    @cached_property
+    def blind(self) -> Mask:
+        """Numbers of `shared` in a combination that leaves no trace, as residues under an input of one sine."""
+        found = np.zeros(self.shared.shape, bool)
+        for group in self._groups:
+            present = np.flatnonzero(np.any(group.columns, axis=0))
+            null = null_space(group.columns[:, present], self.rows)
+            found[np.ix_(present, np.asarray(group.outputs))] = np.any(np.abs(null) > _TRACE, axis=0)[:, None]
+        return found
+
+    @property
+    def deficiency(self) -> int:
+        """Number of combinations of `shared` that leave no trace."""
+        return sum((np.count_nonzero(np.any(one.columns, axis=0)) - one.basis.shape[1]) * len(one.outputs)
+                   for one in self._groups)  # fmt: skip
+
     @property
     def unknowns(self) -> int:
         """Number of real unknowns: poles, the shared ones that are shown, and those of each experiment and output."""
@@ -236,7 +252,7 @@ class FreeProjection(LinearProjection):
             columns = np.concatenate([self._parts[k][2].shared for k in members])
             columns[:, list(held)] = 0.0
             targets = np.concatenate([self._parts[k][2].outputs[:, self._places(k, outputs)] for k in members])
-            basis, solve = orthogonal(columns)
+            basis, solve = orthogonal(columns, self.rows)
             solve[list(held)] = 0.0
             found.append(_Together(outputs, members, columns, targets, basis, solve))
         return found
@@ -329,17 +345,15 @@ class FreeProjection(LinearProjection):
             found.append(variance * inverse @ inverse.T + along @ covariance[np.ix_(places, places)] @ along.T)
         return found
 
-    def motions(self, experiment: int) -> list[tuple[Array, Array]]:
-        """Of what belongs to an experiment without inputs, for each output: inverse Gram matrix, derivatives by poles.
+    def own_sensitivities(self, experiment: int) -> list[tuple[Array, Array, Array]]:
+        """Of what belongs to an experiment, for each output: inverse Gram matrix, derivatives by poles and by `shared`.
 
         Poles by imaginary, then real parts.
         """
         rows, (inverse, above, _) = self.experiments[experiment], self._parts[experiment]
-        slopes = [
-            by_poles(above.derivatives, rows, own, np.zeros((len(self.p), 0), complex))
-            for own in self.own[experiment].T
-        ]
-        return [(inverse @ inverse.T, -inverse @ one) for one in slopes]
+        pairs = zip(self.own[experiment].T, rows.outputs.tolist(), strict=True)
+        slopes = (by_poles(above.derivatives, rows, own, self.residues[:, output]) for own, output in pairs)
+        return [(inverse @ inverse.T, -inverse @ slope, -inverse @ above.shared) for slope in slopes]
 
     def _slopes(self, group: _Together, output: int) -> Array:
         """Derivatives of an output by imaginary and real parts of the poles, in the rows of its group."""
@@ -494,35 +508,6 @@ def by_delay(
     return np.asarray(found)
 
 
-def first_step(
-    experiments: Sequence[FreeRows], p: ComplexArray, shared: Array, directions: Array
-) -> tuple[float, float, int, int]:
-    """How much the best first step from a model gains beyond one within some `directions` of `(poles, shared)`.
-
-    Then what it leaves, how many directions these are more, and how many unknowns all are.  One input, one output.
-    """
-    n, parts, fitted = len(p), [], 0
-    residues = (shared[:n] + 1j * shared[n : 2 * n]) if len(shared) else np.zeros(n, complex)
-    at = FreeProjection(experiments, p)
-    for rows, (inverse, above, below) in zip(experiments, at._parts, strict=True):
-        own = inverse @ (above.outputs[:, 0] - above.shared @ shared)
-        slopes = by_poles(below.derivatives, rows, own, residues[:, None])
-        parts.append(np.column_stack([slopes, below.shared, below.outputs[:, 0] - below.shared @ shared]))
-        fitted += len(above.outputs)
-    moved = np.concatenate(parts)
-    lengths = column_lengths(moved[:, :-1])
-    # first the directions, then all that are perpendicular to them
-    turn = np.linalg.qr(directions * lengths[:, None], mode="complete")[0]
-    rotated = np.column_stack([moved[:, :-1] / lengths @ turn, moved[:, -1]])
-    factor = triangle(lambda: iter([rotated.T]), len(rotated))
-    # what the columns after the directions explain of the last
-    some, diagonal = directions.shape[1], np.abs(np.diag(factor))[:-1]
-    shown = diagonal > _SHOWN * np.maximum(np.linalg.norm(factor[:, :-1], axis=0), _SHOWN)
-    explained = factor[:-1, -1] ** 2 * shown
-    more = int(shown[some:].sum())
-    return float(explained[some:].sum()), float(factor[-1, -1] ** 2), more, fitted + int(shown[:some].sum()) + more
-
-
 # --- the non-linear one ----------------------------------------------------------------------------------------------
 
 Make = Callable[[ComplexArray], Sequence[FreeRows]]  # rows for modes about which they reach
@@ -555,10 +540,6 @@ class FreeProblem:
     def reach(self, at: FreeProjection) -> Array:
         """Widths of the basins."""
         return self.region.reach(at.sections)
-
-    def elsewhere(self, at: FreeProjection) -> Iterator[Array]:
-        """No other places are known."""
-        return iter(())
 
 
 def refine_free(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,9 @@ class FittedChannels(FittedData):
         Predicted outputs, NaN where they depend on inputs before the record; complex for a frequency response.
     background : ResponseBackground, optional
         What a frequency response has beside the modes.
+        Predicted outputs; complex for a frequency response.
+    offset_stderr : ndarray, shape (p,)
+        Standard errors of the offsets; NaN where none was estimated.
     """
 
     record: Recording | ResponseMatrix
@@ -39,6 +42,7 @@ class FittedChannels(FittedData):
     drifts: Array
     predicted: NDArray[Any]
     background: ResponseBackground | None = None
+    offset_stderr: Array = field(default_factory=lambda: np.zeros(0))
 
     def __str__(self) -> str:
         """Say how much there is of it, and how well it is fitted."""
@@ -96,16 +100,19 @@ def unknown_samples(delay: Array, dt: float) -> Indices:
     return np.maximum(np.ceil(delay / dt - WHOLE), 0).astype(int)
 
 
-def moved_freely(p: ComplexArray, motion: ComplexArray, dt: float, samples: int, first: Indices) -> Array:
+def moved_freely(p: ComplexArray, motion: ComplexArray, hold: Hold, samples: int, first: Indices) -> Array:
     """Outputs (q, samples) of free motions (n, q), which before a `first` sample have the size that they have there.
 
     What inputs before a record have done to an output that comes late is no free motion before it has come, and a fast
     one would have been very large.
     """
-    t = dt * np.arange(samples)
-    grown = np.exp(np.multiply.outer(p.real, np.maximum(t, dt * first[:, None])))
-    swung = motion.T[..., None] * np.moveaxis(grown, 1, 0) * np.exp(1j * np.outer(p.imag, t))
-    return np.asarray(swung.real.sum(axis=1))
+    step, samples_from_start = hold.step(p), np.arange(float(samples))
+    powers = step.powers(samples_from_start)
+    if not first.any():
+        return np.asarray((motion.T @ powers).real)
+    held = np.abs(step.powers(first.astype(float))).T[..., None]
+    sizes = np.where(samples_from_start < first[:, None, None], held, np.abs(powers))
+    return np.asarray((motion.T[..., None] * sizes * np.exp(1j * np.angle(powers))).real.sum(axis=1))
 
 
 def estimated_motion(
@@ -123,7 +130,7 @@ def estimated_motion(
         unknown = first[one.outputs]
         if unknown.any():
             own, n = at.own[0], len(p)
-            before = moved_freely(p, 2 * (own[:n] + 1j * own[n : 2 * n]), hold.h, int(unknown.max()), unknown)
+            before = moved_freely(p, 2 * (own[:n] + 1j * own[n : 2 * n]), hold, int(unknown.max()), unknown)
             before += own[-1][:, None] if offset else 0.0
             some = np.arange(before.shape[1])
             found[one.outputs, : len(some)] = np.where(some < unknown[:, None], before, found[one.outputs, : len(some)])

@@ -63,19 +63,6 @@ class SampledModes(Multipliers):
         b1_slope = b1_slope + lam * (turn * ahead + ahead_slope)
         return cls(growth, phase, b0, b1 + lam * ahead, turn, b0_slope, b1_slope, ahead, ahead_slope)
 
-    @classmethod
-    def lossless(cls, hold: Hold, d: Array, quantity: str, sign: int = -1) -> SampledModes:
-        """Modes without losses and of unit residue, with the poles `-i d`, or `i d`; derivatives by the frequencies."""
-        weight, slope = output_weight(d, quantity)
-        if sign > 0:
-            weight, slope = weight.conj(), slope.conj()
-        return cls.of(hold, imaginary(sign * d)).along(1j * sign).weighted(weight, slope)
-
-    def along(self, direction: complex) -> SampledModes:
-        """The same with derivatives by a real number along which the poles move."""
-        turn, b0_slope, b1_slope = (direction * part for part in (self.turn, self.b0_slope, self.b1_slope))
-        return replace(self, turn=turn, b0_slope=b0_slope, b1_slope=b1_slope)
-
     def weighted(self, weight: ComplexArray, slope: ComplexArray) -> SampledModes:
         """The same for inputs with a weight that changes with the pole by a slope."""
         found = replace(

@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
-import control as ct
 import numpy as np
 
 from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, NDArray
-from ..._units import with_unit
-from ...analysis.time_response import forced_response
 from ...exceptions import StructureError
-from ...modal.discretization import Hold
 from ...modal.modal_form import ModalForm
-from ...systems.port_hamiltonian import PortHamiltonian
 from ..data.frequency_record import FrequencyRecord, InFrequency
-from ..data.parts import Difference, blocks
+from ..data.parts import blocks
 from ..data.time_record import Record
 from .modal_regressors import output_weight
-from .time_rows import RecordRows
-from .variable_projection import Problem
 
 _POWERS = range(-2, 3)  # of s, in a background
 Pairs = Sequence[tuple[Any, NDArray[Any]]]  # records, and what a model predicts of each
@@ -185,21 +178,22 @@ class FittedExperiment(FittedData):
     ----------
     record : Record or FrequencyRecord
         The data.
-    initial_state : ndarray, shape (2n,), or (0,) for a frequency response
-        State of the system at the first sample.
-    free_amplitudes : ndarray, shape (n,), complex
-        Free motion of each mode at the output, `Re(amplitude * lambda^k)`.  It agrees with `initial_state`, except for
-        modes whose weight is held at 0: no state of a port-Hamiltonian system shows them at its output.
+    initial_state : ndarray, shape (2n + r,), or (0,) for a frequency response
+        State at the first sample of `system` for a lossless model, else of `observed_system`.
+    free_amplitudes : ndarray of complex, shape (n + r,)
+        Free motion at the output of each mode and real pole, `Re(amplitude exp(p t))`.
     offset : float
         Constant that is added to the output, of one that drifts its value at the first sample; 0 if not estimated.
     predicted : ndarray, shape (T,)
         Predicted output; complex for a frequency response.
     drift : float
         Change of that constant per unit time; 0 if it was not estimated.
-    outliers : tuple of int
-        Samples, counted from 0, whose residuals stand out of the noise of all others.
     background : ResponseBackground, optional
         What a frequency response has beside the modes.
+    initial_stderr : ndarray, shape of `initial_state`
+        Standard errors of the initial state; NaN where it was not estimated.
+    offset_stderr : float
+        Standard error of the offset; NaN if it was not estimated.
     """
 
     record: Record | FrequencyRecord
@@ -208,17 +202,13 @@ class FittedExperiment(FittedData):
     offset: float
     predicted: NDArray[Any]
     drift: float = 0.0
-    outliers: tuple[int, ...] = ()
     background: ResponseBackground | None = None
+    initial_stderr: Array = field(default_factory=lambda: np.zeros(0))
+    offset_stderr: float = np.nan
 
     def __str__(self) -> str:
         """Say how much there is of it, and how well it is fitted."""
         return f"{self.record.samples} samples, fit {self.fit_percent:.2f} %"
-
-    @property
-    def left(self) -> Difference:
-        """Residuals, computed when they are read."""
-        return Difference(self.measured, self.predicted)
 
 
 def pieces(pairs: Pairs) -> Iterator[tuple[Array, NDArray[Any], NDArray[Any]]]:
@@ -275,41 +265,14 @@ def unit_norm(error: NDArray[Any], unit: float) -> float:
 
 def state_from_amplitudes(modes: ModalForm, amplitudes: ComplexArray, quantity: str = "velocity") -> Array:
     """State in Williamson coordinates from the free motion of each mode at the output; 0 where `r` is 0."""
-    gain = _output_gain(modes, quantity)
+    gain = output_gain(modes, quantity)
     x = np.where(gain == 0, 0.0, amplitudes / np.where(gain == 0, 1.0, gain))
     return np.concatenate([x.real, x.imag])
 
 
-def _output_gain(modes: ModalForm, quantity: str) -> ComplexArray:
+def output_gain(modes: ModalForm, quantity: str) -> ComplexArray:
+    """Free motion at the output, conjugate to that of the upper pole, of a unit of each state `q + i p`."""
     return np.asarray(modes.d * modes.nu[:, 0].conj() * output_weight(modes.d, quantity)[0])
-
-
-def estimated_state(
-    system: PortHamiltonian, record: Record, hold: Hold, quantity: str = "velocity", offset: bool = False
-) -> tuple[Array, float]:
-    """State at the first sample, and offset, that fit the outputs best, by least squares."""
-    modes = system.modes
-    live = np.flatnonzero(modes.r > 0)
-    plant = RecordRows(record.u, record.y, record.observed, hold, True, False, quantity)
-    forced = plant.at(modes.d[live]).predict(modes.kappa[live], np.zeros(0))
-    free = RecordRows(
-        np.zeros(record.samples), record.y - forced, record.observed, hold, False, offset, quantity, False
-    )
-    at = Problem((free,)).project(modes.d[live])
-    amplitudes = np.zeros(len(modes.d), complex)
-    amplitudes[live] = at.amplitudes(0)
-    return state_from_amplitudes(modes, amplitudes, quantity), float(at.own[0][-1]) if offset else 0.0
-
-
-def response_on(
-    system: PortHamiltonian, record: Record, state: Array, hold: Hold, quantity: str, offset: float
-) -> ct.TimeResponseData:
-    """Output of a model on a record, from a state, with the states of the system."""
-    found = forced_response(system, record.time, record.u, state, method=hold.method, intersample=hold.intersample)
-    if (observed := observed_system(system, quantity)) is not system:
-        found.y = np.reshape(observed.C @ found.states + observed.D @ record.u[None], found.y.shape)
-    found.y = found.y + offset
-    return with_unit(found, record.time_unit)
 
 
 def chosen_experiment(experiments: Sequence[Any], place: Any) -> Any:
@@ -318,26 +281,3 @@ def chosen_experiment(experiments: Sequence[Any], place: Any) -> Any:
     if not (whole and 0 <= place < len(experiments)):
         raise StructureError(f"experiment is {place!r}; the experiments are counted from 0 to {len(experiments) - 1}")
     return experiments[place]
-
-
-def observed_system(system: PortHamiltonian, quantity: str) -> Any:
-    """The linear system whose output is what was measured of the port."""
-    if quantity == "velocity":
-        return system
-    modes = system.modes
-    weight = _output_gain(modes, quantity)
-    output = np.concatenate([weight.real, -weight.imag])[None]
-    through = [[float(modes.kappa.sum())]] if quantity == "acceleration" else [[0.0]]
-    return ct.StateSpace(
-        system.A, system.B, output, through, inputs=system.input_labels, outputs=system.output_labels,
-        name=f"{quantity} of {system.name}", remove_useless_states=False,
-    )  # fmt: skip
-
-
-def step_after(system: PortHamiltonian, record: Record, state: Array, hold: Hold, next_input: float) -> Array:
-    """State of a model one step after the last sample of a record."""
-    t = record.dt * np.arange(record.samples + 1)
-    response = forced_response(
-        system, t, np.append(record.u, next_input), state, method=hold.method, intersample=hold.intersample
-    )
-    return np.asarray(response.x[:, -1])

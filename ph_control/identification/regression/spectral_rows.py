@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,23 +22,35 @@ from ..._types import Array, ComplexArray, Indices, NDArray
 from ...modal.discretization import Hold
 from ...modal.modal_form import imaginary
 from .modal_regressors import SampledModes
-from .time_rows import Evaluation, FreeRecord, RecordRows, SampledRecord
+from .time_rows import Evaluation, FreeRecord
 from .tuning import TUNING
 
 Pair = tuple[ComplexArray, ComplexArray]
-Kind = TypeVar("Kind", bound="SpectralRows[Any]")
-Transforms = TypeVar("Transforms", bound="Bins")
 
 _NEAR = 1e-3  # turns of a mode away from a bin, below which a series is more accurate
 
 
 @dataclass(frozen=True)
-class Bins:
-    """Transforms of the inputs and outputs (.., K) of a record of T samples; missing outputs count as 0."""
+class ChannelSpectra:
+    """Transforms of the inputs (m, K) and outputs (q, K) of a record of T samples; missing outputs count as 0.
 
-    record: SampledRecord
+    Those of the inputs one sample after are there where these are seen as well.
+    """
+
+    record: FreeRecord
     U: ComplexArray
     Y: ComplexArray
+    ahead: ComplexArray | None = None
+
+    @classmethod
+    def of(cls, record: FreeRecord) -> ChannelSpectra:
+        """Transform a record."""
+        ahead = None if record.ahead is None else np.fft.rfft(record.ahead)[: record.inputs]
+        return cls(record, np.fft.rfft(record.u)[: record.inputs], np.fft.rfft(record.measured), ahead)
+
+    def scaled(self, record: FreeRecord, sizes: Array) -> ChannelSpectra:
+        """Those of the record with outputs (q,) so many times as large."""
+        return ChannelSpectra(record, self.U, self.Y * sizes[:, None], self.ahead)
 
     @property
     def hold(self) -> Hold:
@@ -58,10 +70,6 @@ class Bins:
     def place(self, d: Array) -> Array:
         """Frequencies in bins, as the samples show them."""
         return _place(self.hold.log_multiplier(imaginary(d))[1], self.length)
-
-    def frequency(self, place: Array) -> Array:
-        """Natural frequencies that the samples show at these places."""
-        return self.hold.frequency_of(2 * np.pi * place / self.length)
 
     def energies(self, transform: ComplexArray) -> Array:
         """Sums of squares in time of real signals with these transforms (.., K) (Parseval)."""
@@ -83,49 +91,6 @@ class Bins:
             bins = np.arange(first, min(first + size, residual.shape[1]))
             residual[:, bins] -= TransformColumns(self.length, modes, bins).output(U, residues, motion, through)
         return residual
-
-
-@dataclass(frozen=True)
-class Spectrum(Bins):
-    """Those of a record of one input and one output."""
-
-    record: RecordRows
-
-    @classmethod
-    def of(cls, record: RecordRows) -> Spectrum:
-        """Transform a record."""
-        return cls(record, np.fft.rfft(record.u), np.fft.rfft(np.where(record.observed, record.y, 0.0)))
-
-    def energy(self, transform: ComplexArray) -> float:
-        """Sum of squares in time of a real signal with this transform (Parseval)."""
-        return float(self.energies(transform))
-
-    def lossless(self, d: Array) -> SampledModes:
-        """Modes without losses of unit residue, as `TransformColumns` takes them."""
-        half = np.full(len(d), 0.5 + 0j)
-        return SampledModes.lossless(self.record.hold, d, self.record.quantity, 1).weighted(half, 0 * half)
-
-    def beside_offset(self, residual: ComplexArray) -> ComplexArray:
-        """Transform of a residual without its constant, where an offset explains it: no mode is sought there."""
-        return np.concatenate([[0.0], residual[1:]]) if self.record.offset else residual
-
-
-@dataclass(frozen=True)
-class ChannelSpectra(Bins):
-    """Those of inputs (m, K) and outputs (q, K), and of the inputs one sample after, where these are seen as well."""
-
-    record: FreeRecord
-    ahead: ComplexArray | None = None
-
-    @classmethod
-    def of(cls, record: FreeRecord) -> ChannelSpectra:
-        """Transform a record."""
-        ahead = None if record.ahead is None else np.fft.rfft(record.ahead)[: record.inputs]
-        return cls(record, np.fft.rfft(record.u)[: record.inputs], np.fft.rfft(record.measured), ahead)
-
-    def scaled(self, record: FreeRecord, sizes: Array) -> ChannelSpectra:
-        """Those of the record with outputs (q,) so many times as large."""
-        return ChannelSpectra(record, self.U, self.Y * sizes[:, None], self.ahead)
 
     @cached_property
     def direct(self) -> ComplexArray:
@@ -287,112 +252,11 @@ def thinned_places(ranges: Iterable[tuple[int, int, int]], count: int, apart: in
 
 
 @dataclass(frozen=True, eq=False)
-class SpectralRows(Generic[Transforms]):
-    """Some bins of the transforms of a record."""
-
-    spectrum: Transforms
-    bins: Indices
-
-    @classmethod
-    def about(cls: type[Kind], spectrum: Transforms, d: Array, half_width: int = TUNING.half_width) -> Kind:
-        """Indices within `half_width` of any of some modes; the constant is never among them."""
-        centres = np.rint(spectrum.place(d)).astype(int)
-        bins = np.unique(centres[:, None] + np.arange(-half_width, half_width + 1))
-        return cls(spectrum, bins[(bins >= 1) & (bins <= spectrum.last)])
-
-    @property
-    def samples(self) -> int:
-        """Real and imaginary part of each bin."""
-        return 2 * len(self.bins)
-
-    def own_unknowns(self, n: int) -> int:
-        """The motion at the ends of every mode."""
-        return 2 * n
-
-
-class Window(SpectralRows[Spectrum]):
-    """The bins of a spectrum about some lossless modes, as rows for the solver."""
-
-    @property
-    def driven(self) -> bool:
-        """Whether there are columns for the residues."""
-        return self.spectrum.record.driven
-
-    @property
-    def bin(self) -> float:
-        """Width of a basin of the loss."""
-        return self.spectrum.record.bin
-
-    @property
-    def ceiling(self) -> float:
-        """Largest frequency that is searched."""
-        return self.spectrum.record.ceiling
-
-    @property
-    def largest(self) -> float:
-        """Largest transform."""
-        return float(np.max(np.abs(self.spectrum.Y[self.bins]), initial=0.0))
-
-    def at(self, d: Array) -> WindowEvaluation:
-        """The rows at frequencies `d`."""
-        return WindowEvaluation(self, d)
-
-
-class WindowEvaluation(Evaluation):
-    """The rows of a window for lossless modes."""
-
-    def __init__(self, window: Window, d: Array) -> None:
-        self._window, self._modes = window, window.spectrum.lossless(d)
-        self._through = float(window.spectrum.record.quantity == "acceleration")
-
-    @cached_property
-    def columns(self) -> TransformColumns:
-        """Columns of the motion and of the residues."""
-        return TransformColumns(self._window.spectrum.length, self._modes, self._window.bins)
-
-    @cached_property
-    def _numerators(self) -> Pair:
-        return self.columns.numerators(self._window.spectrum.U)
-
-    @cached_property
-    def forced(self) -> ComplexArray:
-        """Columns of the residues, of nothing without an input."""
-        if not self._window.driven:
-            return np.zeros_like(self.columns.motion[0])
-        ahead, behind = self.columns.forced(self._numerators)
-        return ahead + behind + self._through * self._window.spectrum.U[self._window.bins]
-
-    def _rows(self, *more: ComplexArray) -> Iterator[Array]:
-        forced, target = [self.forced] * self._window.driven, self._window.spectrum.Y[None, self._window.bins]
-        yield real_rows([stacked(self.columns.motion), *forced, *more, target])
-
-    def blocks(self) -> Iterator[Array]:
-        """All rows in one block."""
-        return self._rows()
-
-    def sensitive_blocks(self, kappa: Array, own: Array) -> Iterator[Array]:
-        """The same with the derivatives of the output by the frequencies."""
-        n = len(kappa)
-        motion = own[:n, None] + 1j * own[n : 2 * n, None]
-        ahead, behind = self.columns.motion_slopes
-        found = motion * ahead + motion.conj() * behind
-        if self._window.driven:
-            ahead, behind = self.columns.forced_slopes(self._window.spectrum.U, self._numerators)
-            found += kappa[:, None] * (ahead + behind)
-        return self._rows(found)
-
-    def left(self, kappa: Array, own: Array) -> ComplexArray:
-        """Transform of what a model does not explain, at all bins."""
-        spectrum, n = self._window.spectrum, len(kappa)
-        U = spectrum.U[None][: int(self._window.driven)]
-        motion, through = own[:n, None] + 1j * own[n : 2 * n, None], np.array([[self._through * kappa.sum()]])
-        return spectrum.left(spectrum.Y[None], U, self._modes, kappa[:, None, None], motion, through)[0]
-
-
-@dataclass(frozen=True, eq=False)
-class FreeWindow(SpectralRows[ChannelSpectra]):
+class FreeWindow:
     """The bins of spectra for modes with any damping and residues; one that stands for several `counts` as the root."""
 
+    spectrum: ChannelSpectra
+    bins: Indices
     counts: Array | float = 1.0
     moving: ClassVar[bool] = True
 
@@ -434,6 +298,15 @@ class FreeWindow(SpectralRows[ChannelSpectra]):
     def through(self) -> bool:
         """Whether there are columns for what is fed through."""
         return self.spectrum.record.through
+
+    @property
+    def samples(self) -> int:
+        """Real and imaginary part of each bin."""
+        return 2 * len(self.bins)
+
+    def own_unknowns(self, n: int) -> int:
+        """The motion at the ends of every mode."""
+        return 2 * n
 
     def at(self, p: ComplexArray) -> FreeWindowEvaluation:
         """The rows for modes with these poles."""

@@ -47,16 +47,8 @@ class Evaluation:
         """All rows, block by block."""
         raise NotImplementedError
 
-    def sensitive_blocks(self, kappa: Array, own: Array) -> Iterator[Array]:
-        """The same with the derivatives of the output by the frequencies, at these residues and own unknowns."""
-        raise NotImplementedError
-
     def gram(self) -> Array | None:
         """Inner products of the columns of `blocks`, where they can be had without these."""
-        return None
-
-    def sensitive_gram(self, kappa: Array, own: Array) -> Array | None:
-        """Those of `sensitive_blocks`."""
         return None
 
     def predict(self, shared: Array, own: Array) -> NDArray[Any]:
@@ -67,19 +59,46 @@ class Evaluation:
         """Triangular factor of the columns."""
         return triangle(self.blocks, rows, self.gram())
 
-    def sensitive_factor(self, rows: int, kappa: Array, own: Array) -> Array:
-        """The same with the derivatives of the output by the frequencies."""
-        return triangle(partial(self.sensitive_blocks, kappa, own), rows, self.sensitive_gram(kappa, own))
+
+@dataclass(frozen=True)
+class WholeRecord:
+    """Inputs (m, T), outputs (q, T) and where these were observed, of a record of which `first` samples are left out.
+
+    So are the `last`: inputs before and after the record are not known, and so not what they do to outputs that come
+    late or early.
+    """
+
+    u: Array
+    y: Array
+    observed: Mask
+    first: int
+    last: int
 
 
 @dataclass(frozen=True, eq=False)
-class SampledRecord:
-    """A record in time: inputs and outputs (.., T), where the outputs were observed, and how modes meet the samples."""
+class FreeRecord:
+    """The observed samples of a record, for modes with any damping and residues.
+
+    Of several inputs (m, T) and outputs (q, T) that were observed at the same samples: they share one factorisation.
+    Inputs that are zero throughout are left out, and those there are have their places `among` all.  Of outputs with a
+    delay the inputs are shifted by whole samples, and modes are seen a part of a step later.
+    """
 
     u: Array
     y: Array
     observed: Mask
     hold: Hold
+    moving: bool = True
+    offset: int = 0
+    through: bool = True
+    driven: bool = True
+    outputs: Indices = field(default_factory=lambda: np.zeros(1, int))
+    among: Indices | None = None
+    scale: Array | None = None  # (q,) that the outputs are multiplied by
+    delay: float = 0.0  # samples
+    late: float = 0.0  # part of a step by which the inputs come later than `u` says
+    ahead: Array | None = None  # inputs one sample after `u`, where they are seen as well
+    whole_record: WholeRecord | None = None  # all samples, where these are a part
 
     @cached_property
     def complete(self) -> bool:
@@ -111,95 +130,11 @@ class SampledRecord:
         """Largest frequency that is searched."""
         return float(self.hold.frequency_of(np.array([self.largest_phase]))[0])
 
-
-@dataclass(frozen=True, eq=False)
-class RecordRows(SampledRecord):
-    """A record of one input and one output, for lossless modes.
-
-    `offset` counts the terms of what the output has beside the modes: none, a constant, or a constant and a drift.
-    """
-
-    from_rest: bool = False
-    offset: int = 0
-    quantity: str = "velocity"
-    driven: bool = True
-
-    @property
-    def target(self) -> Array:
-        """Observed outputs."""
-        return self.y if self.complete else self.y[self.observed]
-
-    @cached_property
-    def largest(self) -> float:
-        """Largest output."""
-        return size_of(self.target)
-
-    def seen(self, rows: Array) -> Array:
-        """Rows at which the output was observed."""
-        return rows if self.complete else rows[self.observed]
-
-    def own_unknowns(self, n: int) -> int:
-        """Free motion of every mode, then the drift per sample, and the constant as the last."""
-        return (0 if self.from_rest else 2 * n) + self.offset
-
-    def at(self, d: Array) -> TimeEvaluation:
-        """The rows at frequencies `d`."""
-        return TimeEvaluation(self, d)
-
-    def sensitivities(self, d: Array, kappa: Array, amplitudes: ComplexArray) -> Array:
-        """Derivatives of the output by `(d, kappa, Re, Im of the free motion)`, at all samples, (T, 4n)."""
-        n, own = len(d), np.concatenate([amplitudes.real, amplitudes.imag])
-        whole = RecordRows(self.u, self.y, np.ones(len(self.u), bool), self.hold, quantity=self.quantity)
-        rows = np.concatenate(list(whole.at(d).sensitive_blocks(kappa, own)), axis=1)
-        return np.concatenate([rows[3 * n : 4 * n], rows[2 * n : 3 * n], rows[: 2 * n]]).T
-
-
-@dataclass(frozen=True)
-class WholeRecord:
-    """Inputs (m, T), outputs (q, T) and where these were observed, of a record of which `first` samples are left out.
-
-    So are the `last`: inputs before and after the record are not known, and so not what they do to outputs that come
-    late or early.
-    """
-
-    u: Array
-    y: Array
-    observed: Mask
-    first: int
-    last: int
-
-
-@dataclass(frozen=True, eq=False)
-class FreeRecord(SampledRecord):
-    """The observed samples of a record, for modes with any damping and residues.
-
-    Of several inputs (m, T) and outputs (q, T) that were observed at the same samples: they share one factorisation.
-    Inputs that are zero throughout are left out, and those there are have their places `among` all.  Of outputs with a
-    delay the inputs are shifted by whole samples, and modes are seen a part of a step later.
-    """
-
-    moving: bool = True
-    offset: int = 0
-    through: bool = True
-    driven: bool = True
-    outputs: Indices = field(default_factory=lambda: np.zeros(1, int))
-    among: Indices | None = None
-    scale: Array | None = None  # (q,) that the outputs are multiplied by
-    delay: float = 0.0  # samples
-    late: float = 0.0  # part of a step by which the inputs come later than `u` says
-    ahead: Array | None = None  # inputs one sample after `u`, where they are seen as well
-    whole_record: WholeRecord | None = None  # all samples, where these are a part
-
     @property
     def measured(self) -> Array:
         """Outputs (q, T) in their scale, 0 where missing."""
         y = self.y if self.scale is None else self.y * self.scale[:, None]
         return y if self.complete else np.where(self.observed, y, 0.0)
-
-    @classmethod
-    def of(cls, one: RecordRows, through: bool = True) -> FreeRecord:
-        """The record of one input and one output."""
-        return cls(one.u[None], one.y[None], one.observed, one.hold, not one.from_rest, one.offset, through, one.driven)
 
     @classmethod
     def by_observation(cls, u: Array, y: Array, observed: Mask, hold: Hold, **options: Any) -> list[FreeRecord]:
@@ -386,18 +321,12 @@ class RecordColumns(Evaluation):
     O(T n) time and memory for one block; a record of one block is worked out once.
     """
 
-    def __init__(self, rows: RecordRows | FreeRecord, kernel: Kernel, width: int) -> None:
-        self._u, self._y, self._driven, self._offset = (
-            np.atleast_2d(rows.u),
-            np.atleast_2d(rows.y),
-            rows.driven,
-            rows.offset,
-        )
+    def __init__(self, rows: FreeRecord, kernel: Kernel, width: int) -> None:
+        self._u, self._y, self._driven, self._offset = rows.u, rows.y, rows.driven, rows.offset
         self._observed, self._complete, self._kernel = rows.observed, rows.complete, kernel
-        self._late, self._ahead = getattr(rows, "late", 0.0), getattr(rows, "ahead", None)
+        self._late, self._ahead = rows.late, rows.ahead
         self._last = None if self._ahead is None else self._ahead[:, -1]
-        given = getattr(rows, "scale", None)
-        self._scale = np.ones(len(self._y)) if given is None else given
+        self._scale = np.ones(len(rows.y)) if rows.scale is None else rows.scale
         self._groups = self._at_once(width * SHORT)
         self._only: tuple[GroupStates, Array] | None = None
 
@@ -612,58 +541,7 @@ def _flat(parts: Array) -> Array:
     return parts.reshape(len(parts), parts.shape[1] * parts.shape[2])
 
 
-# --- the rows of lossless and of damped modes -------------------------------------------------------------------------
-
-
-class TimeEvaluation(RecordColumns):
-    """The rows of a record for lossless modes."""
-
-    def __init__(self, one: RecordRows, d: Array) -> None:
-        self._experiment, self._modes = one, SampledModes.lossless(one.hold, d, one.quantity)
-        super().__init__(one, Kernel(self._modes, float(one.quantity == "acceleration")), 4 * len(d) + 2)
-
-    @cached_property
-    def _within(self) -> Array:
-        return self._kernel.within()
-
-    @cached_property
-    def _within_slope(self) -> Array:
-        return self._kernel.within_slope()
-
-    def layout(self, states: GroupStates, slopes: bool) -> list[Column]:
-        """Free motions, offsets, responses, output."""
-        motion = [] if self._experiment.from_rest else [ModalColumns((states.free,), pair=True)]
-        forced = [ModalColumns((states.driven[0],), self._within)] if self._experiment.driven else []
-        return [*motion, *self._offsets(), *forced, *self._outputs()]
-
-    def sensitive_blocks(self, kappa: Array, own: Array) -> Iterator[Array]:
-        """All rows with the derivatives of the output by the frequencies, at these residues and own unknowns."""
-        for states, columns in self._pieces(True):
-            by_d = self._filled(states, [self._by_d(states, kappa, own)])
-            yield self._kept(states, np.concatenate([columns[:-1], by_d, columns[-1:]]))
-
-    def sensitive_gram(self, kappa: Array, own: Array) -> Array | None:
-        """Their inner products, for a long record without gaps."""
-        if not self._by_gram:
-            return None
-
-        def layout(states: GroupStates) -> list[Column]:
-            columns = self.layout(states, False)
-            return [*columns[:-1], self._by_d(states, kappa, own), columns[-1]]
-
-        return self._by_groups(layout)
-
-    def _by_d(self, states: GroupStates, kappa: Array, own: Array) -> ModalColumns:
-        """Derivatives by the frequencies, from the amplitudes of all past and their derivatives."""
-        n = self._kernel.n
-        rest = self._experiment.from_rest
-        moving = np.zeros((n, 1), complex) if rest else own[:n, None] + 1j * own[n : 2 * n, None]
-        slope, state, within = moving * states.free_slope, moving * states.free, None
-        if self._experiment.driven:
-            slope += kappa[:, None] * states.driven_slope[0]
-            state += kappa[:, None] * states.driven[0]
-            within = kappa[:, None, None] * self._within_slope
-        return ModalColumns((slope, state), within)
+# --- the rows of modes ------------------------------------------------------------------------------------------------
 
 
 class FreeTimeEvaluation(RecordColumns):

@@ -16,7 +16,6 @@ class Tuning:
     by_chance: float = 1e-3  # probability that noise alone shows such a mode anywhere in the band
     constant_by_chance: float = 1e-2  # that noise of one level is taken to grow with the gain
     white: float = 1e-3  # p-value below which residuals are not white
-    surely_white: float = 0.05  # p-value from which on what was fitted need not be taken into account
     lags: int = 20  # of the test of whiteness
     past_of_noise: int = (
         4  # samples of it that coloured noise depends on, at most: few, so that no mode passes for noise
@@ -24,7 +23,6 @@ class Tuning:
     broad_noise: float = 8.0  # bins: half-width of a peak of it, at least; what is narrower is a mode
     tails: float = 10.0  # degrees of freedom of the t distribution that a law of noise is fitted with
     fewest_points: int = 20  # to spare: with fewer no law of noise is estimated
-    much: float = 0.1  # of the squares of a response: with more left, modes are missing, and it is no noise
 
     # --- where modes are looked for
     half_width: int = 12  # bins on either side of a mode, and as many half-widths of the peak of a damped one
@@ -34,31 +32,18 @@ class Tuning:
     piece: int = 1 << 18  # numbers worked on at a time: a few megabytes
     ridge: float = 1e-9  # keeps nearly collinear columns apart while candidates are compared
 
-    # --- the path of lossless modes
+    # --- the path of modes
     patience: int = 3  # orders without a better criterion before a path ends
     nearly_as_strong: float = 0.1  # of the strongest candidate's gain: others that may join at the same step,
     together_apart: float = 8.0  # so far from one another,
-    long_enough: int = 512  # in records of so many samples
-    better: float = 1e-6  # relative decrease of the loss that counts
-    better_place: float = 1e-3  # that moves a mode between the points of a response
-    hopeless: int = 4  # modes held at 0, and half of all: no place cures a model that is wrong
-    beyond: int = 3  # modes more than asked for, of which the weakest are dropped again
-    divergent: int = 5  # candidates among which a random path chooses
-    restarts: int = 4  # random paths where the first answer is doubtful
 
     # --- circumstances that look like modes
-    crowding: float = 4.0  # distance of one more mode that only mends the shape of a peak
-    mended_phase: float = 1.5  # that may only mend the phase of its neighbour
-    slow: float = 1.0  # frequency below which a mode is hardly told from a constant and a drift
     delays: tuple[int, ...] = tuple(range(-2, 9))  # samples that are tried
     delay_prior: float = 2.0  # log-likelihood that each sample of a delay costs
     likely: float = 8.0  # log-likelihood at which a search begins again under other circumstances,
-    followed: int = 3  # under the likeliest so many
-    more_than_damped: int = 3  # lossless modes more than damped ones with which a delay may explain what these do
     sure: float = 3.0  # log-likelihood by which one hold is told from the other
 
     # --- damped modes
-    most_damped: float = 0.7  # damping ratio
     fastest_growth: float = 2.0  # a factor of 3e5 over a record, which leaves ten digits
     decay_rates: tuple[float, ...] = (0.03, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # tried where nothing is known
     widths_of_peaks: tuple[int, ...] = (6, 24, 96, 384)  # half-widths of the windows in which one mode is looked for

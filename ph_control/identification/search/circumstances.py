@@ -7,7 +7,7 @@ of two explains more: one more mode, or a circumstance.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -16,15 +16,11 @@ from scipy.optimize import minimize_scalar
 
 from ..._checks import EPS
 from ..._display import p_value, to_its_error
-from ..._types import Array, ComplexArray, Indices, NDArray
+from ..._types import Array, ComplexArray, NDArray
 from ..._units import hertz_size
 from ..regression.modal_regressors import SampledModes
-from ..regression.spectral_rows import Spectrum, Window
-from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
-from ..regression.variable_projection import Problem, Projection, Rows
 
-_RIDGE = 1e-12
 _LISTED = 6  # values named one by one
 _RATIOS = np.geomspace(1e-4, 1e4, 9)  # of input noise, seen at the median of the bins, to output noise
 
@@ -95,37 +91,6 @@ class Finding:
     experiment: int = 0
 
 
-# --- problems that differ in a circumstance --------------------------------------------------------------------------
-
-
-def changed(problem: Problem, change: Callable[[RecordRows], RecordRows]) -> Problem:
-    """The problem with each record changed; frequency responses stay."""
-    rows = tuple(change(one) if isinstance(one, RecordRows) else one for one in problem.experiments)
-    return replace(problem, experiments=rows)
-
-
-def beside(problem: Problem, terms: int) -> Problem:
-    """With a constant (1), or a constant and a drift (2), in every output."""
-    return changed(problem, lambda one: replace(one, offset=terms))
-
-
-def meeting(problem: Problem, intersample: str) -> Problem:
-    """With another behaviour of the input between samples."""
-    return changed(problem, lambda one: replace(one, hold=replace(one.hold, intersample=intersample)))
-
-
-def delayed(problem: Problem, samples: int) -> Problem:
-    """With outputs that come so many samples after the inputs; those without an input of their own are left out."""
-
-    def shifted(one: RecordRows) -> RecordRows:
-        if not one.driven or not samples:
-            return one
-        u, y = beside_one_another(samples)
-        return replace(one, u=one.u[u], y=one.y[y], observed=one.observed[y], from_rest=one.from_rest and samples > 0)
-
-    return changed(problem, shifted)
-
-
 def beside_one_another(delay: int) -> tuple[slice, slice]:
     """Inputs and the outputs that come so many samples after them, or before."""
     early, late = slice(None, -abs(delay)), slice(abs(delay), None)
@@ -185,109 +150,6 @@ def _oscillates(phi: Array, samples: int) -> bool:
     return bool(np.any(radius > np.exp(-2 * np.pi / samples * TUNING.broad_noise)))
 
 
-def input_noise(experiments: Sequence[Rows], d: Array) -> tuple[float, float, float]:
-    """Standard deviations of noise on input and output that explain what modes leave, and what the former gains.
-
-    Such noise comes out of the plant: its power in each bin goes with the squared gain of the model there (Whittle).
-    Under it the modes have other residues, ends and frequencies than under white noise, which follow the bins next to
-    them: these move by a linear step, and where noise on the input is likely by one more from there.
-    """
-    records = [one for one in experiments if isinstance(one, RecordRows) and one.driven and one.complete]
-    if not records:
-        return 0.0, 0.0, 0.0
-    windows = [Window.about(Spectrum.of(one), d) for one in records]
-    at = Problem(tuple(windows)).project(d)
-    near = _NearModes.of(windows, d, at.kappa, at.own)
-    if near is None:
-        return 0.0, 0.0, 0.0
-    none = near.unlikely(0.0)
-    ratio, least = near.likeliest()
-    if least < none - TUNING.sure:
-        moved = _NearModes.of(windows, *near.moved(ratio))
-        further = (0.0, np.inf) if moved is None else moved.likeliest()
-        if moved is not None and further[1] < least:
-            near, (ratio, least) = moved, further
-    of_output = float(np.sqrt(near.level(ratio)[0]))
-    return float(np.sqrt(ratio)) * of_output, of_output, none - least
-
-
-@dataclass(frozen=True)
-class _NearModes:
-    """What modes leave of records, `powers` and squared `gains` in all bins, and how it follows them next to them.
-
-    `columns` belong to what moves, the motions of each record, residues, and frequencies, in units of `lengths`; of the
-    `target` they explain a part, at `places` among all bins.
-    """
-
-    modes: tuple[Array, Array, list[Array]]
-    powers: Array
-    gains: Array
-    columns: Array
-    lengths: Array
-    target: Array
-    places: Indices
-
-    @classmethod
-    def of(cls, windows: Sequence[Window], d: Array, kappa: Array, own: Sequence[Array]) -> _NearModes | None:
-        """At modes with these residues and motions; None where the records say too little."""
-        n, found, seen = len(d), [], 0
-        for k, window in enumerate(windows):
-            spectrum, here = window.spectrum, window.at(d)
-            bins, size = np.arange(1, spectrum.last + 1), float(np.sqrt(spectrum.length))
-            left = here.left(kappa, own[k]) / size
-            (block,) = here.sensitive_blocks(kappa, own[k])
-            columns = np.zeros((2 * n * (len(windows) + 1), block.shape[1]))
-            columns[2 * n * k : 2 * n * (k + 1)], columns[-2 * n :] = block[: 2 * n] / size, block[2 * n : -1] / size
-            response = _response(spectrum.record, d, kappa, 2 * np.pi * bins / spectrum.length)
-            target = np.concatenate([left[window.bins].real, left[window.bins].imag])
-            places = np.tile(seen + window.bins - 1, 2)
-            found.append((np.abs(left[bins]) ** 2, np.abs(response) ** 2, columns, target, places))
-            seen += len(bins)
-        if seen <= 2 * n * (len(windows) + 1):
-            return None
-        powers, gains, every, target, places = (np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))
-        lengths = np.linalg.norm(every, axis=1)
-        lengths = np.where(lengths > 0, lengths, 1.0)
-        if not (np.median(gains) > 0 and powers.any()):
-            return None
-        return cls((d, kappa, list(own)), powers, gains, every / lengths[:, None], lengths, target, places)
-
-    @property
-    def _spare(self) -> float:
-        return len(self.powers) - 0.5 * len(self.columns)
-
-    def _weighted(self, ratio: float) -> tuple[Array, Array, Array]:
-        """Weights of all bins, what pulls at the columns, and their Gram matrix."""
-        weights = 1 / (1 + ratio * self.gains)
-        weighted = self.columns * weights[self.places]
-        return weights, weighted @ self.target, weighted @ self.columns.T + _RIDGE * np.eye(len(self.columns))
-
-    def level(self, ratio: float) -> tuple[float, float]:
-        """Variance of the output noise, and the logarithm of the determinant of the weighted columns."""
-        weights, pull, gram = self._weighted(ratio)
-        left = weights @ self.powers - pull @ np.linalg.solve(gram, pull)
-        return max(float(left), float(np.finfo(float).tiny)) / self._spare, float(np.linalg.slogdet(gram)[1])
-
-    def unlikely(self, ratio: float) -> float:
-        """Negative log-likelihood, but for a constant, of a variance of input noise over that of output noise."""
-        # restricted to what the modes leave, or the bins next to them would speak against noise that they took up
-        variance, determinant = self.level(ratio)
-        return float(np.sum(np.log1p(ratio * self.gains)) + self._spare * np.log(variance) + 0.5 * determinant)
-
-    def likeliest(self) -> tuple[float, float]:
-        """The likeliest ratio, 0 where none is likelier, and its negative log-likelihood."""
-        return likeliest_ratio(self.unlikely, self.gains)
-
-    def moved(self, ratio: float) -> tuple[Array, Array, list[Array]]:
-        """Frequencies, residues and motions after one linear step under such noise."""
-        _, pull, gram = self._weighted(ratio)
-        step = np.linalg.solve(gram, pull) / self.lengths
-        d, kappa, own = self.modes
-        n = len(d)
-        motions = [part[: 2 * n] + step[2 * n * k : 2 * n * (k + 1)] for k, part in enumerate(own)]
-        return d + step[-n:], kappa + step[-2 * n : -n], motions
-
-
 def likeliest_ratio(unlikely: Callable[[float], float], gains: Array) -> tuple[float, float]:
     """The ratio of input to output noise of least negative log-likelihood, 0 where none is likelier, and that."""
     ratios = _RATIOS / float(np.median(gains))
@@ -298,31 +160,6 @@ def likeliest_ratio(unlikely: Callable[[float], float], gains: Array) -> tuple[f
     ends = np.log(ratios[[max(0, best - 1), min(len(ratios) - 1, best + 1)]])
     found = minimize_scalar(lambda x: unlikely(np.exp(x)), bounds=ends, method="bounded", options={"xatol": 0.05})
     return float(np.exp(found.x)), float(found.fun)
-
-
-def noise_size(noise: Finding | None, one: RecordRows, at: Projection, bins: Indices) -> Array:
-    """Power of noise in some bins, over what it would be if it were white."""
-    phase = np.asarray(2 * np.pi / len(one.u) * bins, float)
-    if noise is None:
-        return np.ones(len(bins))
-    if noise.cause is Cause.COLOURED_NOISE:
-        past = np.concatenate([[1.0], -np.array(noise.values)])
-        return np.asarray(np.abs(np.exp(-1j * np.outer(phase, np.arange(len(past)))) @ past) ** -2.0)
-    share, of_output = noise.values
-    ratio = share * input_size(at.problem.experiments) / of_output
-    return np.asarray(1 + (ratio * np.abs(_response(one, at.d, at.kappa, phase))) ** 2)
-
-
-def input_size(experiments: Sequence[Rows]) -> float:
-    """Root mean square of all inputs."""
-    inputs = [one.u for one in experiments if isinstance(one, RecordRows) and one.driven]
-    return float(np.sqrt(np.mean(np.concatenate(inputs) ** 2)))
-
-
-def _response(one: RecordRows, d: Array, kappa: Array, phase: Array) -> ComplexArray:
-    """Frequency response from sample to sample at some phases per step."""
-    through = kappa.sum() if one.quantity == "acceleration" else 0.0
-    return sampled_response(SampledModes.lossless(one.hold, d, one.quantity), 0.5 * kappa, through, phase)
 
 
 def sampled_response(step: SampledModes, residues: NDArray[Any], through: float, phase: Array) -> ComplexArray:
@@ -336,12 +173,6 @@ def sampled_response(step: SampledModes, residues: NDArray[Any], through: float,
 
 
 # --- in words --------------------------------------------------------------------------------------------------------
-
-
-def is_contrary(finding: Finding, intersample: str) -> bool:
-    """Whether the fit is not one under this circumstance."""
-    held = finding.cause is Cause.HOLD and HOLDS[int(finding.values[0])] != intersample
-    return held or finding.cause is Cause.DELAY
 
 
 def worth_telling(finding: Finding, intersample: str) -> bool:

@@ -24,7 +24,6 @@ from ..regression.spectral_rows import ChannelSpectra, FreeWindow, real_rows
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from .circumstances import autoregression, correlations
-from .screening import highest_peaks
 
 _ROUNDS = 3  # of the local problem, weighted with the pole found
 _EVERYWHERE = 1 << 12  # bins up to which all are centres of windows, and rows; above, those where most is left
@@ -229,6 +228,10 @@ class Records(FreeSearch):
             found.append(NoiseOrders(models, variances * share))
         return found
 
+    def without_constants(self) -> Records:
+        """The same with outputs that have no constant."""
+        return replace(self, data=[replace(rows, offset=0) for rows in self.data])
+
     def scaled(self, sizes: Array) -> Records:
         """The same with outputs (q,) so many times as large."""
         records = [replace(one, scale=sizes[one.outputs]) for one in self.data]
@@ -381,6 +384,13 @@ def _windows(left: ComplexArray, first: int, count: int) -> Iterator[tuple[int, 
         size = max(1, TUNING.piece // (len(left) * (2 * half + 1)))
         for k in range(0, len(centres), size):
             yield half, centres[k : k + size]
+
+
+def highest_peaks(values: Array, most: int) -> Indices:
+    """Places of at most so many local maxima, the highest first."""
+    padded = np.concatenate([[-np.inf], values, [-np.inf]])
+    peaks = np.flatnonzero((values >= padded[:-2]) & (values >= padded[2:]))
+    return peaks[np.argsort(-values[peaks], kind="stable")[:most]]
 
 
 def _joined(found: Sequence[tuple[ComplexArray, Array]]) -> tuple[ComplexArray, Array]:

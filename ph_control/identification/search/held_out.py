@@ -22,18 +22,14 @@ Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
 def foretelling_order(
     channels: Experiments, start: ComplexArray, most: int, posed: Callable[[Experiments], Any]
 ) -> int:
-    """Order of the least error over what is held out, all outputs together; `posed` makes a search in channels."""
-    ahead = [held_out(one.samples, HELD_OUT, isinstance(one, Recording)) for one in channels]
-    # the search has only what comes before; its models are judged where the rest is missing
-    rest, gaps = (
-        [_without(one, hidden, shorter) for one, hidden in zip(channels, ahead, strict=True)]
-        for shorter in (True, False)
-    )
-    path, judge = posed(rest), posed(gaps)
-    path.chosen(start, min(most, path.carried), True)
+    """Return the order of the least error over what is held out, all outputs together; `posed` makes a search."""
+
+    def searched(path: Any) -> None:
+        path.chosen(start, min(most, path.carried), True)
+
+    errors = errors_ahead(channels, posed, HELD_OUT, searched)
     values = {}
-    for n, row in path.table.items():
-        losses, counts = _errors(judge, row.poles, channels, ahead)
+    for n, (losses, counts) in errors.items():
         seen = counts > 0
         if not seen.any():
             raise IdentificationError(
@@ -42,6 +38,28 @@ def foretelling_order(
         variances = np.maximum(losses[seen], np.finfo(float).tiny) / counts[seen]
         values[n] = float(np.sum(counts[seen] * np.log(variances)))
     return min(values, key=lambda n: (values[n], n))
+
+
+def errors_ahead(
+    channels: Experiments, posed: Callable[[Experiments], Any], part: float, searched: Callable[[Any], None],
+    orders: Sequence[int] | None = None,
+) -> dict[int, tuple[Array, Array]]:  # fmt: skip
+    """Return squared errors of each output over what is held out, and their number, by order.
+
+    `posed` makes a search in channels, `searched` runs it through the orders, of which all count or some.
+    """
+    ahead = [held_out(data.samples, part, isinstance(data, Recording)) for data in channels]
+    # the search has only what comes before; its models are judged where the rest is missing
+    rest, gaps = (
+        [_without(data, hidden, shorter) for data, hidden in zip(channels, ahead, strict=True)]
+        for shorter in (True, False)
+    )
+    path, judge = posed(rest), posed(gaps)
+    searched(path)
+    return {
+        n: _errors(judge, row.poles, channels, ahead)
+        for n, row in path.table.items() if orders is None or n in orders
+    }  # fmt: skip
 
 
 def held_out(samples: int, part: float, in_time: bool) -> Mask:

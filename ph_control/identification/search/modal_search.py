@@ -23,18 +23,17 @@ from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
 from ..regression.free import Delays, FreeProjection, refine_free
-from ..regression.frequency_rows import FURTHER_TERMS, FreeResponse, FrequencyRows, Term
+from ..regression.frequency_rows import FURTHER_TERMS, FreeResponse, Term
 from ..regression.sections import PoleRegion, Sections
-from ..regression.time_rows import FreeRecord, RecordRows
+from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from ..regression.variable_projection import Interrupted, Problem, Progress
+from ..regression.variable_projection import Interrupted, Progress
 from ..uncertainty.residual_tests import ljung_box
 from .circumstances import Cause, Finding
-from .criteria import Criteria, past_of_noise
+from .criteria import Criteria, past_of_noise, stands_out
 from .free_search import FreeModel, FreeSearch, Records, Responses
 from .held_out import foretelling_order
 from .response_noise import ROUNDS, SETTLED, NoiseLaw, balanced, entry_laws
-from .steps import stands_out
 
 Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
 Reports = Callable[[int], Progress | None]  # what is told of the iterations of so many modes
@@ -141,14 +140,25 @@ class FreeFit(Frozen):
         return rows.hold.intersample if isinstance(rows, FreeRecord) else "zoh"
 
     @property
+    def method(self) -> str:
+        """Discretisation by which the modes meet the samples."""
+        rows = self.projection.experiments[0]
+        return rows.hold.method if isinstance(rows, FreeRecord) else "exact"
+
+    @property
     def offset(self) -> int:
         """Terms of what outputs have beside the modes: none, a constant, or a constant and a drift."""
         return max(getattr(one, "offset", 0) for one in self.projection.experiments)
 
     @property
     def order(self) -> int:
-        """Number of modes."""
-        return len(self.projection.p)
+        """Number of modes: pairs of complex poles."""
+        return _modes(self.projection.p)
+
+    @property
+    def states(self) -> int:
+        """Number of all poles."""
+        return self.order + len(self.projection.p)
 
     @property
     def variance(self) -> float:
@@ -187,6 +197,7 @@ def free_fit(
     weighted: bool = True,
     real_poles: int | str = "auto",
     delay: Array | None = None,
+    method: str = "exact",
 ) -> FreeFit:
     """Fit modes of any damping and residues to all channels, from nothing or from some poles.
 
@@ -225,6 +236,8 @@ def free_fit(
     weighted : bool
         Whether the weights of responses are those of their noise.  If not, and the noise grows with the gain, the fit
         is repeated with the weights of the law of each entry, which is estimated.
+    method : {'exact', 'midpoint', 'euler'}
+        How the modes meet the samples.
 
     Returns
     -------
@@ -241,7 +254,7 @@ def free_fit(
     if is_long(channels):
         how: dict[str, Any] = {
             "quantities": quantities, "moving": moving, "criterion": criterion, "reports": reports,
-            "real_poles": real_poles,
+            "real_poles": real_poles, "method": method,
         }  # fmt: skip
         return _of_long(channels, order, intersample, offset, how, max_order=max_order, start=start, delay=delay)
 
@@ -252,8 +265,9 @@ def free_fit(
         channels: Experiments, terms: int = int(bool(offset)), hold: str = intersample, late: Array | None = delay
     ) -> FreePath:
         return FreePath.of(
-            channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles, delay=late
-        )
+            channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles, method=method,
+            constant_open=offset == "auto" and terms == 1, delay=late,
+        )  # fmt: skip
 
     far = [wild_lines(one) if isinstance(one, ResponseMatrix) else np.zeros(0, int) for one in channels]
     if any(map(len, far)):
@@ -277,7 +291,7 @@ def free_fit(
     if automatic and real_poles in ("auto", 0) and not found.interrupted:
         found = _of_few_lines(found, path.of_few_lines(), min(max_order, path.carried))
     found = found.with_delay_open(delay is None)
-    if found.interrupted or found.rounding or (found.per_entry and weighted) or not (found.order or found.noise):
+    if found.interrupted or found.rounding or (found.per_entry and weighted) or not (found.states or found.noise):
         return found
     if not found.per_entry:
 
@@ -295,8 +309,11 @@ def free_fit(
         try:
             level = _beside_drift(found, anew) if offset == "auto" else found
             late = _on_time(level, anew) if delay is None else level
+            if offset != "auto":
+                return late
             # poles that stand for a delay may hide a drift
-            return _beside_drift(late, anew) if offset == "auto" and late is not level and late.offset < 2 else late
+            late = _beside_drift(late, anew) if late is not level and late.offset < 2 else late
+            return _with_constants(late)
         except KeyboardInterrupt:
             return replace(found, interrupted=True)
 
@@ -469,6 +486,27 @@ def _beside_drift(found: FreeFit, anew: Anew) -> FreeFit:
     return replace(best, findings=(*found.findings, finding), delay_gain=found.delay_gain)
 
 
+def _with_constants(found: FreeFit) -> FreeFit:
+    """Return the fit with a finding of the constants of its outputs, if there are any."""
+    if found.offset != 1:
+        return found
+    values = [
+        float(value) for rows, own in zip(found.projection.experiments, found.projection.own, strict=True)
+        for value in found.scales[rows.outputs] * own[-1]
+    ]  # fmt: skip
+    finding = Finding(Cause.CONSTANT, tuple(values), 0.5 * float(_evidence_of_constants(found.projection)))
+    return replace(found, findings=(*found.findings, finding))
+
+
+def _evidence_of_constants(at: FreeProjection) -> float:
+    """How much the loss would grow without the constants of the outputs."""
+    pairs = (
+        (own[-1], inverse[-1, -1]) for k, outputs in enumerate(at.own)
+        for own, (inverse, *_) in zip(outputs.T, at.own_sensitivities(k), strict=True)
+    )  # fmt: skip
+    return float(sum(value**2 / variance for value, variance in pairs))
+
+
 def _leans(rows: FreeRecord, predicted: NDArray[Any]) -> bool:
     """Whether a line explains some of what is left of outputs."""
     t = np.flatnonzero(rows.observed) - np.mean(np.flatnonzero(rows.observed))
@@ -518,7 +556,7 @@ def likely_delays(found: FreeFit) -> list[Array]:
     step, count = some[0].dt, len(found.scales)
     records = [
         replace(one, y=one.y / found.scales[one.outputs, None])
-        for one in _records(some, found.intersample, found.offset, True)
+        for one in _records(some, found.intersample, found.offset, True, found.method)
     ]
 
     def late(samples: int, p: ComplexArray = p) -> FreeProjection:
@@ -578,7 +616,7 @@ def scanned_delays(found: FreeFit) -> set[int]:
     some = [cut(one, slice(0, min(one.samples, _DELAYS_FROM))) for one in channels]
     shortest = min(one.samples for one in some)
     most = min(_LONGEST_DELAY, shortest // 10)
-    records = _records(some, found.intersample, found.offset, True)
+    records = _records(some, found.intersample, found.offset, True, found.method)
 
     def scanned(p: ComplexArray) -> tuple[float, int]:
         """Squares that poles leave with the best delay, and this."""
@@ -676,7 +714,7 @@ def _inverse_variances(fit: FreeFit, laws: Sequence[NoiseLaw]) -> list[Array]:
 
 def orders_about(
     channels: Experiments, poles: ComplexArray, most: int, *, quantities: Sequence[str], intersample: str, offset: bool,
-    moving: bool, delay: Array | None = None,
+    moving: bool, method: str = "exact", delay: Array | None = None,
 ) -> list[tuple[ComplexArray, ComplexArray]]:  # fmt: skip
     """Poles and residues (n, p, m) of ascending orders, one more mode each: to some poles, and from these to the most.
 
@@ -684,7 +722,7 @@ def orders_about(
     Without inputs the residues are motions in the experiments.
     """
     channels = [cut(one, searched_part(one, not moving)) for one in channels]
-    path = FreePath.of(channels, quantities, intersample, offset, moving, delay=delay)
+    path = FreePath.of(channels, quantities, intersample, offset, moving, method=method, delay=delay)
     found = []
     for start, end in ((poles[poles.imag == 0], _modes(poles) - 1), (poles, min(most, path.carried))):
         model: FreeModel | None = path.reweighted(path.model(start))
@@ -700,8 +738,9 @@ def orders_about(
 
 
 def _records(
-    channels: Sequence[Recording], hold: str, offset: int, moving: bool, delay: Array | None = None
-) -> list[FreeRecord]:
+    channels: Sequence[Recording], hold: str, offset: int, moving: bool, method: str = "exact",
+    delay: Array | None = None,
+) -> list[FreeRecord]:  # fmt: skip
     found = list[FreeRecord]()
     for one in channels:
         acting = np.flatnonzero(one.u.any(axis=1))
@@ -709,7 +748,7 @@ def _records(
         options = {"offset": offset, "driven": driven, "moving": moving or not driven, "among": acting}
         u = one.u if driven and len(acting) == len(one.u) else one.u[acting]
         u = u if driven else np.broadcast_to(0.0, (1, one.samples))
-        found += FreeRecord.by_observation(u, one.y, one.observed, Hold(one.dt, "exact", hold), **options)
+        found += FreeRecord.by_observation(u, one.y, one.observed, Hold(one.dt, method, hold), **options)
     return found if delay is None or not delay.any() else Delays.of_outputs(delay).rows(found)
 
 
@@ -761,7 +800,9 @@ class FreePath:
     def __init__(
         self, search: FreeSearch, felt: Mask, criterion: str = "bic", reports: Reports = lambda order: None,
         best: FreeModel | None = None, real_poles: int | str = "auto", noise: tuple[Array, ...] = (),
+        constant_open: bool = False,
     ) -> None:  # fmt: skip
+        self.constant_open = constant_open  # whether outputs need not have a constant
         self.real_poles, self.plain = real_poles, search.with_kinds(real_poles == "auto")
         self.felt, self.criterion, self.reports = felt, criterion, reports
         self.table: dict[int, FreeOrder] = {}
@@ -784,7 +825,8 @@ class FreePath:
     def of(
         cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: int, moving: bool,
         criterion: str = "bic", reports: Reports = lambda order: None, best: FreeModel | None = None,
-        real_poles: int | str = "auto", delay: Array | None = None, noise: tuple[Array, ...] = (),
+        real_poles: int | str = "auto", method: str = "exact", constant_open: bool = False, delay: Array | None = None,
+        noise: tuple[Array, ...] = (),
     ) -> FreePath:  # fmt: skip
         """The search in channels, or what ends one whose best model is known."""
         first = channels[0]
@@ -793,20 +835,11 @@ class FreePath:
         if not isinstance(first, ResponseMatrix):
             held = "zoh" if intersample == "auto" else intersample
             recordings = [one for one in channels if isinstance(one, Recording)]
-            search: FreeSearch = Records(_records(recordings, held, offset, moving, delay))
-            return cls(search, felt, criterion, reports, best, real_poles, noise)
+            search: FreeSearch = Records(_records(recordings, held, offset, moving, method, delay))
+            return cls(search, felt, criterion, reports, best, real_poles, noise, constant_open)
         search = Responses(_responses([one for one in channels if isinstance(one, ResponseMatrix)], each, delay))
         _refuse_unmeasured(first, np.concatenate([one.outputs for one in search.data]))
         return cls(search, felt.reshape(-1, 1), criterion, reports, best, real_poles)
-
-    @classmethod
-    def over(cls, problem: Problem, criterion: str = "bic", reports: Reports = lambda order: None) -> FreePath:
-        """The search in the data of a problem of lossless modes."""
-        rows = [one for one in problem.experiments if isinstance(one, RecordRows | FrequencyRows)]
-        records = [FreeRecord.of(one) for one in rows if isinstance(one, RecordRows)]
-        responses = [FreeResponse.of(one) for one in rows if isinstance(one, FrequencyRows)]
-        search = Records(records) if records else Responses(responses)
-        return cls(search, np.array([[rows[0].quantity == "acceleration"]]), criterion, reports, real_poles=0)
 
     @property
     def delay(self) -> Array:
@@ -825,6 +858,12 @@ class FreePath:
         for one in search.data:
             counts[one.outputs] += one.samples
         return counts
+
+    def drop_constants(self, losses: Array) -> None:
+        """Go on with outputs that have no constant."""
+        if isinstance(self.plain, Records) and isinstance(self.search, Records):
+            self.plain, self.search = self.plain.without_constants(), self.search.without_constants()
+        self.weigh(losses)
 
     def whiten(self, innovations: tuple[Array, ...], losses: Array) -> None:
         """Go on in rows in which noise with these innovations filters is white, and is what leaves these losses."""
@@ -1023,6 +1062,12 @@ class FreePath:
         shown = [stands_out(gain, loss, int(self.counts.sum()), now, then - now) for gain in gains.tolist()]
         self._shown = model, (p, gains * np.array(shown, bool))
         return self._shown[1]
+
+    def through_orders(self, start: ComplexArray, most: int) -> None:
+        """Let modes join one by one from a start up to a number of them; the table has the best of each order."""
+        model: FreeModel | None = self.reweighted(self.model(start))
+        while model is not None and _modes(model.p) < most:
+            model = self.with_modes(model, _modes(model.p) + 1, False)
 
     def chosen(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
         """The model of an order, or of that which the criterion prefers, with noise as coloured as it prefers."""
@@ -1303,7 +1348,7 @@ class FreePath:
                 if beside is not None:
                     return beside.fit(start, most, automatic, channels, either_hold=either_hold)
             found = self.finished(self.best, channels, automatic)
-            if not (either_hold and isinstance(self.plain, Records) and found.order and found.projection.inputs):
+            if not (either_hold and isinstance(self.plain, Records) and found.states and found.projection.inputs):
                 return found
             # residues and feedthrough of one hold say what others say of the other: told apart only where some are 0
             kept = replace(self.best, at=found.projection)
@@ -1338,6 +1383,11 @@ class FreePath:
             fed = self.felt | self.stands_out(at)
             if not fed.all():
                 at, losses = self.settled(at.p, fed, interrupted)
+        if self.constant_open and not interrupted and len(at.p):
+            constants = sum(len(rows.outputs) for rows in self.search.data)
+            if _evidence_of_constants(at) < constants * np.log(at.rows):
+                self.drop_constants(losses)
+                at, losses = self.settled(at.p, fed, False)
         at, losses = self.on_simplest_background(at, losses, fed, interrupted)
         rank = np.argsort(at.d)
         at = FreeProjection(at.experiments, at.p[rank], fed)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -17,16 +16,17 @@ from ..._frozen import Frozen
 from ..._threads import on_one_thread
 from ..._types import Array, Indices, Mask
 from ..._units import common_unit, unit_for
-from ..._workers import check_workers, mapped
+from ..._workers import check_workers
 from ...exceptions import IdentificationError, StructureError
+from ...modal.discretization import INTERSAMPLE, METHODS
 from ...plotting.validation_plot import order_selection_plot
-from ..regression.frequency_rows import FrequencyRows
-from ..regression.time_rows import RecordRows
-from ..regression.variable_projection import Problem, Rows, refine
-from .criteria import CRITERIA, criteria
-from .formulation import Callback, Formulation, reporter
-from .held_out import held_out
-from .steps import Step
+from ..data.experiments import as_channels
+from ..data.quantities import checked_quantities, quantity_of
+from .criteria import CRITERIA
+from .held_out import errors_ahead
+from .modal_search import FreePath
+from .progress import Callback, reporter
+from .starting_poles import poles_of
 
 _LARGEST = 10  # by default
 _STABLE, _STABLE_BINS = 0.01, 2.0
@@ -183,7 +183,7 @@ def order_selection(
     workers : int, executor, Dask client or map-like callable
         Number of processes for the models of `holdout`, -1 for all, or what runs them; the result is the same.
     **options
-        `method`, `intersample`, `initial_state`, `offset`, `quantity` and `representation`, as for `pem`.
+        `method`, `intersample`, `initial_state`, `offset` and `quantity`, as for `pem`.
 
     Returns
     -------
@@ -232,51 +232,79 @@ def order_selection(
     (array([0.5, 2. ]), array([ True,  True, False]))
     >>> picture = selection.plot()
     """
-    for name in ("order", "max_order", "criterion"):
-        if name in options:
-            raise TypeError(f"unexpected keyword argument {name!r}: the orders to try are the argument orders")
+    unknown = sorted(set(options) - {"method", "intersample", "initial_state", "offset", "quantity"})
+    if unknown:
+        what = ": the orders to try are the argument orders" * (unknown[0] in ("order", "max_order", "criterion"))
+        raise TypeError(f"unexpected keyword argument {unknown[0]!r}{what}")
     part = _part(holdout)
     check_workers(workers)
-    posed = Formulation.of(data, dt, weights, **options)
-    problem, guess = posed.problem, posed.guess(initial_guess)
-    posed.check_signals()
-    wanted = _wanted(orders, problem)
-    largest = posed.largest_order(wanted[-1], wanted[-1], guess)
+    quantity = options.get("quantity") or quantity_of(data)
+    channels: Any = as_channels(data, dt, weights=weights)
+    quantities = checked_quantities(quantity, channels[0].output_labels)
+    moving = (
+        _checks.choice("initial_state", options.get("initial_state", "estimate"), ("estimate", "zero")) == "estimate"
+    )
+    hold = _checks.choice("intersample", options.get("intersample", "auto"), ("auto", *INTERSAMPLE))
+    method = _checks.choice("method", options.get("method", "exact"), METHODS)
+
+    def posed(channels: Any, reports: Any = lambda order: None) -> FreePath:
+        return FreePath.of(
+            channels, quantities, hold, int(bool(options.get("offset", "auto"))), moving, "bic", reports, method=method
+        )  # fmt: skip
+
+    path = posed(channels)
+    wanted = _wanted(orders, path)
+    path.check(wanted[-1])
+    path.reports = reporter(wanted[-1], callback)
+    start = np.zeros(0, complex) if initial_guess is None else poles_of(initial_guess)
     try:
-        found = posed.path(guess, largest, report=reporter(largest, callback, problem.samples))
+        path.through_orders(start, wanted[-1])
     except KeyboardInterrupt:
-        found = posed.so_far(largest)
-    posed, path = found.posed, found.steps
-    problem = posed.problem
+        if not path.table:
+            raise
+    rows = [path.table[n] for n in sorted(path.table)]
     # a path that ends in rounding has no higher orders
-    kept = [k for k, step in enumerate(path) if len(step.d) in wanted]
+    kept = [k for k, row in enumerate(rows) if row.order in wanted]
     if not kept:
         raise StructureError(
-            f"the smallest order asked for is {wanted[0]}, and {len(path[-1].d)} modes already reproduce the record to "
+            f"the smallest order asked for is {wanted[0]}, and {rows[-1].order} modes already reproduce the record to "
             "rounding; ask for lower orders"
         )
-    stable = _stable(path, problem.bin)
-    steps = [path[k] for k in kept]
-    rows = [criteria(problem, step.loss, len(step.d)) for step in steps]
-    ahead, losses = held_out_losses(posed, guess, [len(step.d) for step in steps], part, workers) if part else (0, None)
+    samples = int(path.counts.sum())
+    stable = _stable([np.abs(row.poles) for row in rows], path.search.region.bin)
+    chosen = [rows[k] for k in kept]
+    ahead, losses = 0, None
+    if part:
+
+        def searched(path: FreePath) -> None:
+            path.check(wanted[-1])
+            path.through_orders(start, wanted[-1])
+
+        errors = errors_ahead(channels, posed, part, searched, [row.order for row in chosen])
+        ahead = int(max(counts.sum() for _, counts in errors.values()))
+        if not ahead:
+            raise IdentificationError("there are no observed outputs in what is held out; hold out more")
+        losses = np.array([
+            float(errors[row.order][0].sum()) / ahead if row.order in errors else np.inf for row in chosen
+        ])  # fmt: skip
     return OrderSelection(
-        orders=np.array([len(step.d) for step in steps]),
-        loss=np.array([step.loss / problem.samples for step in steps]),
-        aic=np.array([row.aic for row in rows]),
-        aicc=np.array([row.aicc for row in rows]),
-        bic=np.array([row.bic for row in rows]),
+        orders=np.array([row.order for row in chosen]),
+        loss=np.array([float(np.exp(-2 * row.loglik / samples - 1) / (2 * np.pi)) for row in chosen]),
+        aic=np.array([row.aic for row in chosen]),
+        aicc=np.array([row.aicc for row in chosen]),
+        bic=np.array([row.bic for row in chosen]),
         holdout=losses,
-        frequencies=tuple(np.sort(step.d) for step in steps),
+        frequencies=tuple(np.abs(row.poles) for row in chosen),
         stable=tuple(stable[k] for k in kept),
-        samples=problem.samples,
+        samples=samples,
         held_out=ahead,
-        time_unit=common_unit(posed.records),
+        time_unit=common_unit(list(channels)),
     )
 
 
-def _wanted(orders: Any, problem: Problem) -> list[int]:
+def _wanted(orders: Any, path: FreePath) -> list[int]:
     if orders is None:
-        orders = max(1, min(_LARGEST, problem.carried))
+        orders = max(1, min(_LARGEST, path.carried))
     if isinstance(orders, str) or not np.iterable(orders):
         return list(range(_checks.whole_number("orders", orders, 1) + 1))
     wanted = sorted({_checks.whole_number("one of the orders", n, 0) for n in orders})
@@ -295,11 +323,10 @@ def _part(holdout: Any) -> float:
     return part
 
 
-def _stable(path: Sequence[Any], bin_width: float) -> list[Mask]:
-    """Which frequencies of each step are those of the step before: nearest to one another, and near."""
-    marks = [np.zeros(len(path[0].d), bool)]
-    for before, step in pairwise(path):
-        old, new = np.sort(before.d), np.sort(step.d)
+def _stable(path: Sequence[Array], bin_width: float) -> list[Mask]:
+    """Which frequencies of each order are those of the order before: nearest to one another, and near."""
+    marks = [np.zeros(len(path[0]), bool)]
+    for old, new in pairwise(path):
         distance = np.abs(new[:, None] - old)
         mark = np.zeros(len(new), bool)
         if distance.size:
@@ -308,90 +335,3 @@ def _stable(path: Sequence[Any], bin_width: float) -> list[Mask]:
             mark = mutual & (distance.min(axis=1) <= np.maximum(_STABLE * new, _STABLE_BINS * bin_width))
         marks.append(mark)
     return marks
-
-
-# --- hold-out prediction error ---------------------------------------------------------------------------------
-
-
-_POLISH = 1e-15  # relative decrease of the loss at which a refinement ends: what is foretold feels the frequencies
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """A problem, and the samples of each experiment that are held out of it; of a response none that are missing."""
-
-    problem: Problem
-    hidden: tuple[Mask, ...]
-
-    @classmethod
-    def of(cls, problem: Problem, part: float) -> HeldOut:
-        """Hold out a part of each experiment."""
-        hidden = []
-        for one in problem.experiments:
-            observed = _record(one).observed
-            if isinstance(one, RecordRows):
-                hidden.append(held_out(len(observed), part, True))
-            else:
-                hidden.append(np.zeros(len(observed), bool))
-                hidden[-1][observed] = held_out(int(observed.sum()), part, False)
-        return cls(problem, tuple(hidden))
-
-    @cached_property
-    def training(self) -> Problem:
-        """The problem of what is not held out."""
-        rows: list[Any] = []
-        for one, hidden in zip(self.problem.experiments, self.hidden, strict=True):
-            if isinstance(one, RecordRows):
-                rows.append(replace(one, u=one.u[~hidden], y=one.y[~hidden], observed=one.observed[~hidden]))
-            else:
-                record = _record(one)
-                rows.append(replace(one, record=replace(record, response=np.where(hidden, np.nan, record.response))))
-        return replace(self.problem, experiments=tuple(rows))
-
-    @property
-    def ahead(self) -> int:
-        """Number of equations that are held out."""
-        return self.problem.samples - self.training.samples
-
-    def loss(self, d: Array) -> float:
-        """Mean squared error over what is held out, of the model that fits the rest best about these frequencies."""
-        at = refine(self.training, d, rtol=_POLISH).projection
-        found = []
-        for one, own, hidden in zip(self.problem.experiments, at.own, self.hidden, strict=True):
-            record, predicted = _record(one), one.at(at.d).predict(at.kappa, own)
-            if isinstance(one, RecordRows):
-                found.append((one.y - predicted)[hidden & one.observed])
-            else:
-                left = ((record.response - predicted) * np.sqrt(record.weights))[hidden]
-                found += [left.real, left.imag]
-        return float(np.mean(np.concatenate(found) ** 2))
-
-
-def _record(one: Rows) -> Any:
-    return one.record if isinstance(one, FrequencyRows) else one
-
-
-def held_out_losses(
-    posed: Formulation, guess: Array, orders: Sequence[int], part: float, workers: Any
-) -> tuple[int, Array]:
-    """Number of equations held out, and the mean squared error of each order there; infinite if too few are left.
-
-    The models are those of a path of their own: frequencies found in all of the data would know what is to be foretold.
-    """
-    rest = HeldOut.of(posed.problem, part)
-    if not rest.ahead or not rest.training.samples:
-        raise IdentificationError(
-            f"with {part:.3g} of the data held out there are {rest.training.samples} observed outputs to fit and "
-            f"{rest.ahead} to predict; hold out another part, or choose by 'bic'"
-        )
-    largest = min(max(orders), rest.training.carried)
-    path: list[Step] = []
-    if largest:
-        # under the circumstances that all of the data have decided
-        posed = replace(posed, problem=rest.training, open=frozenset(), searched=None, trail=[])
-        path = posed.path(guess, posed.largest_order(largest, largest, guess)).steps
-    judged = {0: np.zeros(0)} | {len(step.d): step.d for step in path if len(step.d) in orders or step is path[-1]}
-    losses = dict(zip(judged, mapped(rest.loss, list(judged.values()), workers, float), strict=True))
-    # a path that ended in rounding has no better model of higher order
-    last = losses[len(path[-1].d)] if path and len(path[-1].d) < largest else np.inf
-    return rest.ahead, np.array([losses.get(n, last if n <= largest else np.inf) for n in orders])

@@ -1,33 +1,25 @@
 """The noise of frequency responses: the same at all points, or growing with the gain.
 
-Analysers give no variances, and their noise often is in proportion to what they measure.  From the residuals of
-lossless modes, or of damped ones where these are better, the law `a + b |G|^2` is estimated, by a likelihood with
-heavy tails that single points do not sway; if a constant is refused, the fit is repeated with the weights of the law.
+Analysers give no variances, and their noise often is in proportion to what they measure.  From the residuals of a fit
+the law `a + b |G|^2` is estimated, by a likelihood with heavy tails that single points do not sway; if a constant is
+refused, the fit is repeated with the weights of the law.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from ..._types import Array, ComplexArray
-from ..data.frequency_record import FrequencyRecord
 from ..regression.free import FreeProjection
-from ..regression.frequency_rows import FreeResponse, FrequencyRows
+from ..regression.frequency_rows import FreeResponse
 from ..regression.tuning import TUNING
-from ..regression.variable_projection import Problem, refine
-from .criteria import criteria, criteria_of
 from .free_search import Responses
-from .response_search import ResponseSearch
-
-if TYPE_CHECKING:
-    from .formulation import Formulation
 
 ROUNDS = 8  # of fit and law in turn
 SETTLED = 1e-3  # relative change of the weights
@@ -71,70 +63,11 @@ class NoiseLaw:
         return NoiseLaw(self.kind, factor * self.floor, factor * self.share)
 
 
-def reweighted(
-    posed: Formulation, found: Any, again: Callable[[Formulation, Array | None], Any]
-) -> tuple[Formulation, Any, NoiseLaw]:
-    """The fit repeated with the weights of its own noise, until both agree; as it was, if its noise may be constant.
-
-    `again` searches anew, or only from the frequencies that it is given.  As it was, too, where the noise is rounding,
-    or no lossless model explains the response so weighted: what it leaves then is no noise.
-    """
-    first = posed, found, NoiseLaw(NoiseKind.CONSTANT, 1.0)
-    before = np.ones(posed.problem.samples // 2)
-    # points of large gain, were they taken as equally sure, would draw the model through themselves and leave nothing
-    # that tells of their noise; nor would weak modes stand out of noise as large as theirs
-    responses = [one.target for one in posed.problem.experiments if isinstance(one, FrequencyRows)]
-    problem, d = posed.weighted(balanced(responses)).problem, found.all_d
-    for place in range(ROUNDS):
-        law, gains, damped = estimated_law(problem, d)
-        if law.kind is NoiseKind.CONSTANT:
-            return first
-        variances = law.floor**2 + (law.share * np.concatenate(gains)) ** 2
-        if place and np.all(np.abs(variances - before) <= SETTLED * variances):
-            break
-        before = variances
-        posed = posed.weighted([1.0 / (law.floor**2 + (law.share * gain) ** 2) for gain in gains])
-        if not place and _is_misfit(posed.problem, damped):
-            return first
-        found = again(posed, None if place < 2 else found.d)
-        problem, d = posed.problem, found.d
-    return posed, found, law
-
-
 def balanced(responses: Sequence[ComplexArray]) -> list[Array]:
     """Weights between those of constant noise and of noise in proportion to the gain, of responses (..., K)."""
     squares = [np.abs(one) ** 2 for one in responses]
     middle = np.nanmedian(np.concatenate(squares, axis=-1), axis=-1, keepdims=True)
     return [1.0 / np.maximum(one + middle, np.finfo(float).tiny) for one in squares]
-
-
-def _is_misfit(problem: Problem, d: Array) -> bool:
-    """Whether lossless modes leave much of a response that damped ones at these frequencies explain."""
-    search = ResponseSearch(problem)
-    return refine(problem, d, rtol=TUNING.rough).projection.loss - search.damped(d).loss > TUNING.much * search.power
-
-
-def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], Array]:
-    """Law of the noise about modes near these frequencies, their gain at all points, and damped frequencies.
-
-    The modes are damped, unless lossless ones are as good: these leave more of the noise at the points of largest gain.
-    """
-    search = ResponseSearch(problem)
-    step = search.damped(d)
-    lossless = refine(problem, step.at.d, rtol=TUNING.rough).projection
-    unknowns, floor = search.damped_search.unknowns(len(step.p)), problem.rounding
-    damped = criteria_of(problem.samples, max(step.loss, floor), unknowns).bic
-    simpler = criteria(problem, max(lossless.loss, floor), len(d)).bic <= damped
-    found = []
-    parts = zip(search.damped_search.data, search.experiments, step.left, lossless.predicted(), strict=True)
-    for free, rows, (left,), predicted in parts:
-        columns = next(free.at(step.p).blocks())
-        if simpler:
-            columns = next(rows.at(lossless.d).sensitive_blocks(lossless.kappa, np.zeros(0)))
-            left = rows.target - predicted[rows.record.observed] * rows.scale
-        found.append(_points(left, rows.target, rows.scale, _spare(columns[:-1])))
-    law = NoiseLaw(NoiseKind.CONSTANT, 1.0) if step.loss <= problem.rounding else _likeliest(found)[0]
-    return law, [gain for _, _, gain in found], step.at.d
 
 
 def entry_laws(at: FreeProjection) -> tuple[list[tuple[NoiseLaw, float]], bool]:
@@ -221,11 +154,3 @@ def _law(squares: Array, spare: Array, power: Array, by_chance: float) -> tuple[
     if 2 * (constant - varying) < chi2.isf(2 * by_chance, 1):
         return level, 0.0, 0.0
     return factor * float(np.exp(ratio)), factor, constant - varying
-
-
-def record_law(records: Any, variance: float, law: NoiseLaw | None) -> NoiseLaw:
-    """The law in a result whose noise has this variance at unit weight."""
-    if law is not None and law.kind is NoiseKind.GAIN:
-        return law.times(float(np.sqrt(variance)))
-    given = any(isinstance(one, FrequencyRecord) and np.ptp(one.weights) for one in records)
-    return NoiseLaw(NoiseKind.WEIGHTS if given else NoiseKind.CONSTANT, float(np.sqrt(variance)))

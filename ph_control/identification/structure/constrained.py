@@ -269,10 +269,6 @@ class ConstrainedProblem:
             found[self.coordinates.size :] = self.delays.step
         return found
 
-    def elsewhere(self, at: ConstrainedProjection) -> Iterator[Array]:
-        """No other places are known."""
-        return iter(())
-
 
 def constrained(
     at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion, iterations: int | None = None,
@@ -311,7 +307,11 @@ def constrained(
         )  # fmt: skip
     if hypothesis == "passive":
         return nearest_passive_fit(at, layout, lambda: constrained(at, layout, "classical", region, _ITERATIONS))
-    x = coordinates.start(*layout.split(at.shared, len(at.p)))
+    residues, through = layout.split(at.shared, len(at.p))
+    if at.deficiency and isinstance(coordinates, ShapeCoordinates) and coordinates.real:
+        # where an input shows sums of residues only, those of the free fit may have any sign
+        residues = coordinates.turned_to_positive(residues)
+    x = coordinates.start(residues, through)
     problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x), delays=delays)
     most, last = _ITERATIONS if iterations is None else iterations, iterations is None
     x = problem.inside(x if delays is None else np.append(x, delays.values))

@@ -301,6 +301,11 @@ class ShapeCoordinates(StructureCoordinates):
             found[self._poles + held.size :][: held.size] &= ~held.ravel()
         return found
 
+    def turned_to_positive(self, residues: ComplexArray) -> ComplexArray:
+        """Residues of the same sizes with the phase of a port."""
+        factor = self._factor(self.sections)
+        return np.asarray(np.abs(residues / factor) * factor)
+
     def nearest(self, scaled: ComplexArray) -> NDArray[Any]:
         """From the first singular vectors, scaled so that output and input agree at ports as far as they can."""
         outputs, inputs = self._places

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import fdtrc
@@ -79,14 +80,30 @@ def structure_tests(
         if among is not None and hypothesis not in among:
             continue
         if hypothesis == "passive":
-            # the classical model is passive, and was found before
-            fit = nearest_passive_fit(at, layout, lambda: fits["classical"], _BEYOND * parameters)
+            # the classical model is passive, and was fitted before
+            classical = partial(_fit_of, fits, at, layout, "classical", region)
+            fit = nearest_passive_fit(at, layout, classical, _BEYOND * parameters)
             test, fits[hypothesis] = likelihood_test(at, fit, parameters - fit.parameters), fit
             test = replace(test, p=max(one.p for one in [test, *tests]))
         else:
             test, fits[hypothesis] = _tested(at, layout, hypothesis, region, parameters)
         tests.append(test)
     return StructureTests(tuple(tests), fits)
+
+
+def _fit_of(
+    fits: Mapping[str, StructuredFit], at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion
+) -> StructuredFit:
+    """Return the fit of a hypothesis, made if it is not among `fits`."""
+    return fits[hypothesis] if hypothesis in fits else constrained(at, layout, hypothesis, region, _ITERATIONS)
+
+
+def given_structure(
+    at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion
+) -> tuple[StructuredFit, HypothesisTest]:
+    """Fit a structure, to the minimum however unlikely it is, and test it within the free model."""
+    fit, parameters = constrained(at, layout, hypothesis, region), constrained(at, layout, "free", region).parameters
+    return fit, likelihood_test(at, fit, parameters - fit.parameters)
 
 
 def _tested(

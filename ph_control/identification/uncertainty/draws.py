@@ -1,13 +1,13 @@
 """What a covariance says of a model: intervals, draws, and bands of responses computed from the draws.
 
-Bands are percentiles over models drawn in `(d, r)`.  Near a pole the gain is no linear function of the frequency, not
-even approximately: an error of `d` moves the pole across, and a linearised band is wrong there at any noise level.
+Bands are percentiles over models drawn from that distribution.  Near a pole the gain is no linear function of the
+frequency, not even approximately: an error of `d` moves the pole across, and a linearised band is wrong there at any
+noise level.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,11 +15,8 @@ from scipy.special import log_ndtr, ndtri_exp, stdtrit
 
 from ... import _checks
 from ..._frozen import Frozen, ReadOnlyMapping
-from ..._types import Array, ArrayLike, ComplexArray, Mask
+from ..._types import Array, ArrayLike, Mask
 from ...exceptions import StructureError
-from ...modal.modal_form import ModalForm, from_frequencies, imaginary
-from ...modal.reactance import sum_with_twice_the_digits
-from ...numerics import double_double as tf
 
 _MOST = 10**9  # draws
 _BLOCK = 1 << 17  # entries of a (point x sample) table held at once
@@ -248,257 +245,6 @@ class Draws(Frozen):
         if not len(self):
             raise StructureError("there are no samples, so they have no percentiles; draw at least one")
         return np.concatenate([np.empty((2, 0)), *(_percentiles(table, tail) for table in tables)], axis=1)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ModeSamples(Draws):
-    """Models drawn by `LosslessResult.sample` from the distribution of an estimate, and the bands of their responses.
-
-    Attributes
-    ----------
-    d, r : ndarray, shape (k, n)
-        Natural frequencies, rad per unit time, and weights: one draw a row, one mode of the estimate a column.  Where
-        modes are close a row of `d` need not ascend.
-    initial_state : ndarray, shape (k, s)
-        Initial states that go with them; s is 0 where there are none.
-
-    Notes
-    -----
-    `len(samples)` is k, `samples[i]` the modal form of draw i.  Bands are pointwise: at each frequency or instant
-    alone they hold the given share of the draws, their ends interpolated between neighbouring draws.  Of the share
-    beyond an end, `p = (1 - level)/2`, seeds differ by about `sqrt(p/k)`: 2.5 ± 0.5 % for 1000 draws and level 0.95.
-    """
-
-    d: Array
-    r: Array
-    initial_state: Array = field(default=None)  # type: ignore[arg-type]
-
-    def __post_init__(self) -> None:
-        d = _checks.real_array("d", self.d, 2)
-        given = np.empty((len(d), 0)) if self.initial_state is None else self.initial_state
-        for name, value in (("d", d), ("r", self.r), ("initial_state", given)):
-            object.__setattr__(self, name, _checks.readonly(_checks.real_array(name, value, 2)))
-            _checks.in_range(name, getattr(self, name))
-        shapes = self.d.shape, self.r.shape, self.initial_state.shape
-        if shapes[0] != shapes[1] or shapes[2][0] != shapes[0][0]:
-            raise StructureError(f"d, r, initial_state have shapes {shapes}; expected (k, n), (k, n), (k, s)")
-        if (self.d <= 0).any() or (self.r < 0).any():
-            raise StructureError(f"the least of d is {self.d.min():.3g}, of r {self.r.min():.3g}; allowed > 0, >= 0")
-
-    @property
-    def natural_frequencies(self) -> Array:
-        """Natural frequencies `d`, shape (k, n), rad per unit time."""
-        return self.d
-
-    def __getitem__(self, index: int) -> ModalForm:
-        if not -len(self) <= _checks.whole_number("index", index) < len(self):
-            raise IndexError(f"sample {index} of {len(self)}")
-        return from_frequencies(self.d[index], self.r[index])
-
-    @property
-    def modes(self) -> Iterator[ModalForm]:
-        """Modal forms of the draws, one after the other."""
-        return (self[i] for i in range(len(self)))
-
-    def freqresp(self, omega: ArrayLike) -> ComplexArray:
-        """Frequency response of every draw.
-
-        Parameters
-        ----------
-        omega : array_like, shape (K,)
-            Angular frequencies, rad per unit time.
-
-        Returns
-        -------
-        ndarray, shape (k, K)
-            `G(i omega) = sum_l r_l d_l i omega / (d_l^2 - omega^2)`; infinite at a pole.
-
-        Raises
-        ------
-        StructureError
-            If `omega` is not a vector of finite numbers.
-
-        Notes
-        -----
-        Exactly imaginary, and right to 1e-13 relative next to poles and zeros, as `ModalForm.freqresp`.  O(k K n).
-
-        Examples
-        --------
-        >>> from ph_control import ModeSamples
-        >>> samples = ModeSamples([[2.0], [3.0]], [[0.5], [0.5]])
-        >>> len(samples), samples[1]
-        (2, modes([3.0], [0.5]))
-        >>> samples.freqresp([0.0, 1.0])
-        array([[0.+0.j        , 0.+0.33333333j],
-               [0.+0.j        , 0.+0.1875j    ]])
-        """
-        X = self._reactance(_checks.real_array("omega", omega, 1)).T
-        return np.where(np.isinf(X), complex(np.inf, 0.0), imaginary(X))
-
-    def magnitude_band(self, omega: ArrayLike, level: float = 0.95) -> Array:
-        """Band of the gain: percentiles of `|G(i omega)|` over the draws.
-
-        Parameters
-        ----------
-        omega : array_like, shape (K,)
-            Angular frequencies, rad per unit time.
-        level : float
-            Share of the draws inside, between 0 and 1.
-
-        Returns
-        -------
-        ndarray, shape (2, K)
-            Lower and upper end.
-
-        Raises
-        ------
-        StructureError
-            If `omega` is not a vector of finite numbers, the level is not between 0 and 1, or there are no draws.
-
-        Notes
-        -----
-        Where the draws have their pole on both sides of a frequency the upper end is large but finite: the gain at the
-        distance from a pole that only `(1 - level)/2` of the draws fall below.  It is infinite where so many
-        have a pole at that very frequency, as all do where `d` has no variance.  Across a zero the lower end dips
-        towards 0 in the same way.  O(k K n); memory of O(k n) and a block.
-
-        Examples
-        --------
-        >>> from ph_control import ModeSamples
-        >>> samples = ModeSamples([[2.0], [2.0], [2.0]], [[0.9], [1.0], [1.1]])
-        >>> samples.magnitude_band([1.0, 2.0], level=0.9)
-        array([[0.60666667,        inf],
-               [0.72666667,        inf]])
-        """
-        return self._band("omega", omega, lambda w: np.abs(self._reactance(w)), level)
-
-    def phase_band(self, omega: ArrayLike, level: float = 0.95) -> Array:
-        """Band of the phase, in degrees: one value where the sign is sure, from -90 to +90 where it is not.
-
-        Parameters
-        ----------
-        omega, level
-            As in `magnitude_band`.
-
-        Returns
-        -------
-        ndarray, shape (2, K)
-            (90, 90) or (-90, -90) where at most `(1 - level)/2` of the draws have the other sign, else (-90, 90).
-
-        Raises
-        ------
-        StructureError
-            As `magnitude_band`.
-
-        Notes
-        -----
-        A lossless system answers a sine a quarter of a period ahead or behind, and nothing between.  Between a pole
-        and a zero that is known exactly, however large the errors of the estimate: the band is open only where the
-        draws have a pole or zero on both sides.  At a pole or zero itself the sign is that just above.
-
-        Examples
-        --------
-        >>> from ph_control import ModeSamples
-        >>> ModeSamples([[1.9], [2.0], [2.1], [2.2]], [[1.0]] * 4).phase_band([1.0, 2.0, 3.0])
-        array([[ 90., -90., -90.],
-               [ 90.,  90., -90.]])
-        """
-        # reactances only rise: above a zero they are positive, above a pole negative
-        low, high = self._band(
-            "omega", omega, lambda w: np.where((0 <= (X := self._reactance(w))) & (X < np.inf), 90.0, -90.0), level
-        )
-        return np.where([low < 90, high <= -90], -90.0, 90.0)
-
-    def step_band(self, time: ArrayLike, level: float = 0.95) -> Array:
-        """Band of the response to a unit step: percentiles of `sum_l r_l sin(d_l t)` over the draws.
-
-        Parameters
-        ----------
-        time : array_like, shape (K,)
-            Instants, in any order; before 0, when the step comes, the response is 0.
-        level : float
-            Share of the draws inside, between 0 and 1.
-
-        Returns
-        -------
-        ndarray, shape (2, K)
-            Lower and upper end.
-
-        Raises
-        ------
-        StructureError
-            If `time` is not a vector of finite numbers, the level is not between 0 and 1, or there are no draws.
-
-        Notes
-        -----
-        The phase error of a mode grows with time: from about `t = 3/stderr(d)` on the band fills its whole amplitude.
-        Each `d t` is formed to twice the digits, so each response is right to a few units in the last place of
-        `sum r`.  O(k K n); memory of O(k n) and a block.
-
-        Examples
-        --------
-        >>> from ph_control import ModeSamples
-        >>> ModeSamples([[1.0]] * 3, [[0.9], [1.0], [1.1]]).step_band([0.0, 1.5707963], level=0.9)
-        array([[0.  , 0.91],
-               [0.  , 1.09]])
-        """
-        return self._band("time", time, lambda t: self._oscillations(t, self.r, np.sin), level)
-
-    def impulse_band(self, time: ArrayLike, level: float = 0.95) -> Array:
-        """Band of the response to a unit impulse: percentiles of `sum_l r_l d_l cos(d_l t)` over the draws.
-
-        Parameters
-        ----------
-        time, level
-            As in `step_band`.
-
-        Returns
-        -------
-        ndarray, shape (2, K)
-            Lower and upper end.
-
-        Raises
-        ------
-        StructureError
-            As `step_band`.
-
-        Examples
-        --------
-        >>> from ph_control import ModeSamples
-        >>> ModeSamples([[2.0]] * 3, [[0.9], [1.0], [1.1]]).impulse_band([0.0], level=0.9)
-        array([[1.82],
-               [2.18]])
-        """
-        return self._band("time", time, lambda t: self._oscillations(t, self.r * self.d, np.cos), level)
-
-    def _band(self, name: str, points: ArrayLike, values: Callable[[Array], Array], level: float) -> Array:
-        return self._percentiles(map(values, self._blocks(name, points, len(self))), level)
-
-    def _reactance(self, w: Array) -> Array:
-        """`G(i w)/i` of every draw, shape (K, k): at a pole infinite, and twice the digits where terms cancel."""
-        x = w[:, None]
-        value, weight = np.zeros((2, len(w), len(self)))
-        infinite = np.zeros(value.shape, bool)
-        for d, r in zip(self.d.T, self.r.T, strict=True):
-            at_pole = np.abs(x) == d
-            infinite |= at_pole & (r > 0)
-            down, up = (np.where(at_pole, 1.0, d + sign * x) for sign in (-1, 1))
-            # (d - w)(d + w) keeps the digits next to the pole; one factor after the other stays in range
-            term = np.where(at_pole, 0.0, d * r * (x / up) / down)
-            value += term
-            weight += np.abs(term)
-        i, j = np.nonzero((weight > 8 * np.abs(value)) & ~infinite)
-        d, r = self.d[j].T, self.r[j].T
-        value[i, j] = sum_with_twice_the_digits(d, tf.two_prod(d, r), w[i])
-        return np.where(infinite, np.inf, value)
-
-    def _oscillations(self, time: Array, amplitudes: Array, wave: np.ufunc) -> Array:
-        """`sum_l amplitudes_l sin(d_l t)`, or cosines, of every draw, shape (K, k); 0 before 0."""
-        value = np.zeros((len(time), len(self)))
-        for d, amplitude in zip(self.d.T, amplitudes.T, strict=True):
-            phase, rest = tf.two_prod(d, time[:, None])
-            value += amplitude * (wave(phase) + rest * (np.cos(phase) if wave is np.sin else -np.sin(phase)))
-        return np.where(time[:, None] < 0, 0.0, value)
 
 
 def _percentiles(table: Array, tail: float) -> Array:

@@ -17,11 +17,14 @@ from scipy.linalg import qr
 from ... import _checks
 from ..._checks import EPS
 from ..._frozen import Frozen
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, Mask
+from ...modal.discretization import Hold
+from ...modal.modal_form import imaginary
+from ..regression.elimination import eliminate
+from ..regression.free import by_poles
 from ..regression.modal_regressors import SHORT, Kernel, SampledModes, output_weight
-from ..regression.time_rows import RecordRows
+from ..regression.time_rows import FreeRecord
 from ..regression.triangular import reduced
-from ..regression.variable_projection import Projection, eliminate
 
 NEARLY_BLIND = 0.01  # singular value below which a combination counts: its errors are inflated a hundred times
 _ROUNDED = 0.01  # relative difference of weights that are sorted as equal
@@ -219,13 +222,68 @@ class Information(Frozen):
         return Combination(names, tuple((change / change[0]).tolist()), tuple(weight[order].tolist()), inflation)
 
 
-def work(problem: RecordRows, n: int) -> float:
+@dataclass(frozen=True, eq=False)
+class PortRecord:
+    """Input and output (T,) of a port, where the output was observed, and how lossless modes meet the samples."""
+
+    u: Array
+    y: Array
+    observed: Mask
+    hold: Hold
+    from_rest: bool = False
+    quantity: str = "velocity"
+    driven: bool = True
+
+    @property
+    def samples(self) -> int:
+        """Number of observed samples."""
+        return int(self.observed.sum())
+
+    @property
+    def target(self) -> Array:
+        """Observed outputs."""
+        return self.seen(self.y)
+
+    def seen(self, rows: Array) -> Array:
+        """Rows at which the output was observed."""
+        return rows if self.observed.all() else rows[self.observed]
+
+    @property
+    def bin(self) -> float:
+        """Spacing of the discrete Fourier frequencies, rad per unit time."""
+        return 2 * np.pi / (len(self.u) * self.hold.h)
+
+    @property
+    def largest_phase(self) -> float:
+        """Largest phase per step of a mode."""
+        return self.hold.largest_phase(len(self.u)) * (1 - 1e-9)
+
+    def sensitivities(self, d: Array, kappa: Array, amplitudes: ComplexArray) -> Array:
+        """Derivatives of the output, (T, 4n), by `(d, kappa)` and real and imaginary part of a motion `Re(a exp(-i d t))`.
+
+        From the columns of modes with any residues, and their derivatives by the poles.
+        """
+        n, u = len(d), self.u[None]
+        rows = FreeRecord(u, np.zeros(u.shape), np.ones(len(self.u), bool), self.hold)
+        columns = np.concatenate(list(rows.at(imaginary(d)).blocks()), axis=1).T
+        motion, forced, slopes = columns[:, : 2 * n], columns[:, 2 * n : 4 * n], columns[:, 4 * n + 1 : -1]
+        weight = 0.5 * output_weight(d, self.quantity)[0].conj()
+        by_kappa = weight.real * forced[:, :n] + weight.imag * forced[:, n:]
+        power = {"velocity": 0.0, "displacement": -1.0, "acceleration": 1.0}[self.quantity]
+        own = 0.5 * np.concatenate([amplitudes.real, -amplitudes.imag])
+        by_d = by_poles(slopes, rows, own, (kappa * weight)[:, None])[:, :n] + kappa * power / d * by_kappa
+        if self.quantity == "acceleration":
+            by_kappa = by_kappa + self.u[:, None]
+        return np.concatenate([by_d, by_kappa, 0.5 * motion[:, :n], -0.5 * motion[:, n:]], axis=1)
+
+
+def work(problem: PortRecord, n: int) -> float:
     """Operations that the information of n modes takes: the QR factorisation of (T, 4n), and the SVD of its factor."""
     return 16.0 * n**2 * (len(problem.u) + 88.0 * n)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what leaves the range of doubles is refused
-def model_information(problem: RecordRows, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
+def model_information(problem: PortRecord, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
     """Information of `(d, r, x(0))` at a model, for unit noise; `x(0)` only where it is estimated.
 
     `amplitudes` (n,) are the modal states `x_l(0)`, whose real parts are the free motion at the output.
@@ -238,7 +296,7 @@ def model_information(problem: RecordRows, d: Array, r: Array, amplitudes: Compl
 
 @np.errstate(over="ignore", invalid="ignore")
 def joint_information(
-    problems: Sequence[RecordRows], d: Array, r: Array, states: Sequence[ComplexArray]
+    problems: Sequence[PortRecord], d: Array, r: Array, states: Sequence[ComplexArray]
 ) -> Information:
     """Information of `(d, r)` in several records together; initial states are unknown where they may move."""
     n, samples = len(d), sum(len(one.target) for one in problems)
@@ -257,7 +315,7 @@ def _of_modes(jacobian: Array, n: int, samples: int) -> Array:
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def information_of(problem: RecordRows, jacobian: Array, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
+def information_of(problem: PortRecord, jacobian: Array, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
     """Information at a model from the sensitivities to `(d, kappa, Re x(0), Im x(0))`, or from the R of their QR."""
     n, samples, h = len(d), len(problem.u), problem.hold.h
     J = in_weights(jacobian, d, r)
@@ -270,25 +328,9 @@ def information_of(problem: RecordRows, jacobian: Array, d: Array, r: Array, amp
     )
 
 
-def information_at(at: Projection) -> Information:
-    """Information at the end of a fit.
-
-    Of one record all parameters; of several, or of a response, `d` and `r` with all else unknown.
-    """
-    d, r, n = at.d, at.kappa / at.d, len(at.d)
-    jacobian, _ = at.jacobian()
-    one = at.problem.experiments[0]
-    if len(at.problem.experiments) == 1 and isinstance(one, RecordRows) and one.driven and not one.offset:
-        return information_of(one, jacobian, d, r, at.amplitudes(0))
-    shown, names = _of_modes(jacobian, n, at.problem.samples), parameter_names(n, True)
-    if not at.problem.driven:
-        return Information.of(shown[:, :n], names[:n], rows=at.problem.samples)
-    return Information.of(in_weights(shown, d, r), names, rows=at.problem.samples)
-
-
-def _state_sizes(problem: RecordRows, d: Array) -> tuple[Array, Array]:
+def _state_sizes(problem: PortRecord, d: Array) -> tuple[Array, Array]:
     """Norms of the complex modal states, driven by the input and free; outputs are their real parts."""
-    kernel = Kernel(SampledModes.lossless(problem.hold, d, "velocity"))
+    kernel = Kernel(SampledModes.of(problem.hold, imaginary(d)))
     weight = np.abs(kernel.weight)
     pieces = kernel.pieces(problem.u[None], _TOGETHER, False)
     size = np.sqrt(SHORT * sum(np.sum(np.abs(states.driven[0]) ** 2, axis=1) for states in pieces))

@@ -17,7 +17,7 @@ from .draws import Draws
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ModalSamples(Draws):
-    """Models drawn by `DampedResult.sample`, and the bands of their responses from each input to each output.
+    """Models drawn by `PEMResult.sample`, and the bands of their responses from each input to each output.
 
     Attributes
     ----------
@@ -36,7 +36,8 @@ class ModalSamples(Draws):
 
     Notes
     -----
-    `len(samples)` is k.  Bands are pointwise percentiles over the draws, as those of `ModeSamples`.
+    `len(samples)` is k.  Bands are pointwise percentiles over the draws, their ends interpolated
+    between neighbouring draws.  Of the share beyond an end, `p = (1 - level)/2`, seeds differ by about `sqrt(p/k)`.
     """
 
     poles: ComplexArray

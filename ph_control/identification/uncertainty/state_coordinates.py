@@ -84,10 +84,15 @@ class InCoordinates:
         one = chosen_experiment(self.experiments, experiment)
         if not isinstance(one.record, Record):
             raise StructureError("a frequency response has no initial state; only records in time have one")
+        if self.structure != "lossless" or not one.record.driven:
+            raise StructureError(
+                f"the forms of the paper are those of driven lossless models, and this fit is {self.structure!r}: use "
+                "initial_state, a state of observed_system"
+            )
         if form == "ph":
             return np.array(one.initial_state)
         # velocity of the port, whatever was measured of it
-        amplitudes = one.free_amplitudes / output_weight(self.d, self.quantity)[0]
+        amplitudes = one.free_amplitudes.conj() / output_weight(self.d, self.quantity)[0]
         if form == "oh":
             state, digits = observable_state(self.d, amplitudes)
         else:

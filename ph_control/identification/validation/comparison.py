@@ -21,7 +21,7 @@ from ...plotting.validation_plot import channel_comparison_plot, response_compar
 from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import InTime
-from ..fit.result import PEMResult
+from ..fit.pem_result import PEMResult
 from ..regression.prediction import chosen_experiment
 from .measured import (
     HeldData,

@@ -14,8 +14,8 @@ from matplotlib import rc_context
 
 from ..._display import escaped, html_report, html_table
 from ...exceptions import StructureError
+from ..fit.pem_result import PEMResult
 from ..fit.report import real_pole_table, test_table
-from ..fit.result import PEMResult
 
 # kind of picture, its heading, and what it shows
 _PICTURES = (

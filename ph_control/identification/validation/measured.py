@@ -22,7 +22,7 @@ from ..data.data_frames import is_data_frame
 from ..data.experiments import as_measured
 from ..data.frequency_record import FrequencyRecord, InFrequency
 from ..data.time_record import InTime, Record
-from ..fit.result import PEMResult
+from ..fit.pem_result import PEMResult
 from ..regression.prediction import Pairs, joint_percent, shares_left, unit_norm
 
 Kind = Record | FrequencyRecord | Recording | ResponseMatrix

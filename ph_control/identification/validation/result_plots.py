@@ -9,7 +9,7 @@ import numpy as np
 
 from ...exceptions import StructureError
 from ...plotting.validation_plot import channel_correlations, residual_panels_plot
-from ..fit.result import PEMResult
+from ..fit.pem_result import PEMResult
 from ..regression.prediction import chosen_experiment
 from ..search.order_selection import OrderSelection
 from .comparison import Comparison

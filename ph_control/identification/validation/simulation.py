@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ... import _checks
 from ..._types import Array, ComplexArray, Indices
+from ...analysis.time_response import forced_response
 from ...exceptions import StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS, Hold, MatrixStep
 from ...modal.modal_form import ModalForm, imaginary
@@ -22,22 +23,16 @@ from ...systems.affine import AffineHamiltonian
 from ...systems.base import LosslessSystem, in_normal_form
 from ...systems.canonical_forms import ObservableHamiltonian
 from ...systems.port_hamiltonian import ph
-from ..data.channels import Recording, ResponseMatrix
+from ..data.channels import Recording, ResponseMatrix, several
 from ..data.frequency_record import FrequencyRecord, InFrequency
-from ..data.time_record import Record
+from ..data.time_record import InTime, Record
 from ..diagnosis.fitted_directions import (
     Directions,
-    of_damped_record,
-    of_damped_response,
     of_record,
     of_response,
     same_data,
 )
-from ..fit.damped_result import DampedResult
-from ..fit.lossless_result import LosslessResult
-from ..fit.result import PEMResult
-from ..regression.frequency_rows import modal_columns
-from ..regression.prediction import response_on
+from ..fit.pem_result import PEMResult
 
 Kind = Record | FrequencyRecord | Recording | ResponseMatrix
 
@@ -110,21 +105,10 @@ def answers_to(
 
 def _answer_to(model: Any, label: str, record: Kind, rules: Rules) -> Simulation:
     """What a `PEMResult`, a system of this package, or a linear system of python-control says of an experiment."""
-    if isinstance(model, DampedResult):
-        _matching(model, label, record)
-    experiments: Any = model.experiments if isinstance(model, PEMResult) else ()
-    place = next((k for k, one in enumerate(experiments) if same_data(record, one.record)), None)
-    if place is not None and _keeps_its_state(experiments[place], rules.initial_state):
-        return Simulation(experiments[place].predicted, lambda: _own_directions(model, place), True)
+    if isinstance(model, PEMResult):
+        return _answer_of_fit(model, label, record, rules)
     if isinstance(record, FrequencyRecord | ResponseMatrix):
         return Simulation(_response(model, label, record), lambda: _no_directions(record))
-    if isinstance(model, DampedResult):
-        answer = _damped_model if isinstance(record, Record) else _damped_channels
-        return answer(model, place, label, record, rules)
-    if isinstance(model, LosslessResult) and isinstance(record, Record):
-        return _fitted_model(model, place, label, record, rules)
-    if isinstance(model, LosslessResult):
-        model = model.observed_system
     _refuse_fitted(model, label, rules)
     system, hold = _system_of(model, label, record), rules.hold(record.dt)
     if isinstance(record, Record) and in_normal_form(system):
@@ -238,102 +222,51 @@ def _completed(motions: Motions, label: str, record: Record | Recording, rules: 
 # --- results of a fit ------------------------------------------------------------------------------------------------
 
 
-def _fitted_model(model: LosslessResult, place: int | None, label: str, record: Record, rules: Rules) -> Simulation:
-    """A fit on other data, or from another state on its own: by the rules of the fit, for these data."""
-    steps = [one.record.dt for one in model.experiments if isinstance(one.record, Record)]
+def _answer_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules) -> Simulation:
+    """What a fit says of an experiment: its own prediction where it was fitted to it, by its own rules elsewhere."""
+    _matching(model, label, record)
+    place = next((k for k, data in enumerate(model.experiments) if same_data(record, data.record)), None)
+    if place is not None and _keeps_its_state(model.experiments[place], rules.initial_state):
+        return Simulation(model.experiments[place].predicted, lambda: _own_directions(model, place), True)
+    if isinstance(record, FrequencyRecord | ResponseMatrix):
+        return Simulation(_response(model, label, record), lambda: _no_directions(record))
+    steps = [data.record.dt for data in model.experiments if isinstance(data.record, InTime)]
     if model.method != "exact" and steps and all(abs(record.dt - h) > _STEP_TOLERANCE * record.dt for h in steps):
         raise StructureError(
             f"the record has the step {record.dt:.6g}, model {label!r} was fitted with method={model.method!r} at the "
             f"step {steps[0]:.6g}, and holds at that step only"
         )
-    constant = bool(np.isfinite(model.offset_stderr).any())
-    rules = Rules(model.method, model.intersample, rules.initial_state, constant)
-    hold = rules.hold(record.dt)
-    if rules.initial_state == "fitted":
-        state, offset = _kept_state(model, label)
-        output = response_on(model.system, record, state, hold, model.quantity, offset).y
-        return Simulation(np.reshape(output, -1), lambda: _no_directions(record))
-    found = _completed(_lossless_motions(model.system, record, hold, model.quantity), label, record, rules)
-    if place is None:
-        return found
-
-    def directions() -> Directions:
-        own = _fitted_directions(model, place)
-        return Directions(own.shared, np.concatenate([found.directions().local, own.local], axis=1))
-
-    return replace(found, directions=directions, own=True)
-
-
-def _damped_model(model: DampedResult, place: int | None, label: str, record: Any, rules: Rules) -> Simulation:
-    """A fit of damped modes on other data, or from another state on its own."""
-    constant = bool(model.offsets.any())
-    rules = Rules("exact", model.intersample, rules.initial_state, constant)
-    if rules.initial_state == "fitted" or model.delay.any():
-        state = "estimate" if rules.initial_state == "zero" and not record.driven else rules.initial_state
-        found = model.predict(record.as_response(), initial_state=state).outputs
-        return Simulation(np.reshape(found, -1), lambda: _no_directions(record), place is not None)
-    motions = _linear_motions(model.observed_system, label, record, rules.hold(record.dt))
-    return replace(_completed(motions, label, record, rules), own=place is not None)
-
-
-def _damped_channels(model: DampedResult, place: int | None, label: str, record: Any, rules: Rules) -> Simulation:
-    """The same of several channels, each of which moves freely for itself."""
-    outputs, inputs = _matching(model, label, record)
+    data = several(record)
+    outputs, inputs = _matching(model, label, data)
     # in the order of the model, and back
-    u = np.zeros((len(inputs), record.samples))
-    u[inputs] = record.u if len(record.u) else 0.0
-    y = np.empty_like(record.y)
-    y[outputs] = record.y
-    state = "estimate" if rules.initial_state == "zero" and not record.driven else rules.initial_state
-    found = model.predict(replace(record, u=u, y=y, input_labels=model.input_labels), initial_state=state)
+    u = np.zeros((len(inputs), data.samples))
+    u[inputs] = data.u if len(data.u) else 0.0
+    y = np.empty_like(data.y)
+    y[outputs] = data.y
+    state = "estimate" if rules.initial_state == "zero" and not data.driven else rules.initial_state
+    found = model.predict(replace(data, u=u, y=y, input_labels=model.input_labels), initial_state=state)
     answer = np.reshape(found.outputs, (len(outputs), -1))[outputs]
-    return Simulation(answer, lambda: _no_directions(record), place is not None)
+    answer = answer[0] if isinstance(record, Record) else answer
+    own = place is not None
+    return Simulation(answer, lambda: _own_directions(model, place) if own else _no_directions(record), own)
 
 
 def _own_directions(model: PEMResult, place: int) -> Directions:
     """Derivatives of the prediction of one experiment of a fit by its parameters; none of several channels."""
-    one: Any = model.experiments[place]
-    if isinstance(one.record, Recording | ResponseMatrix):
-        return _no_directions(one.record)
-    if isinstance(model, LosslessResult):
-        return _fitted_directions(model, place)
-    rho = model.residues[:, 0, 0] * np.where(model.poles.imag == 0, 0.5, 1.0)  # a real pole has two halves
-    if isinstance(one.record, FrequencyRecord):
-        return of_damped_response(one.record, model.poles, rho, float(model.delay[0]))
-    hold, offset = Hold(one.record.dt, "exact", model.intersample), int(model.offsets.any())
-    through = bool(model.feedthrough.any())
-    late = float(model.delay[0])
-    return of_damped_record(one.record, model.poles, rho, one.free_amplitudes, hold, offset, through, late)
-
-
-def _kept_state(model: LosslessResult, label: str) -> tuple[Array, float]:
-    fitted = [one.record for one in model.experiments]
-    if len(fitted) > 1 or not isinstance(fitted[0], Record):
-        several = f"{len(fitted)} experiments, each with a state of its own, and this record is none of them"
-        what = several if len(fitted) > 1 else "a frequency response, which has no initial state"
-        raise StructureError(f"model {label!r} was fitted to {what}; use initial_state='estimate' or 'zero'")
-    return model.initial_state, float(model.offsets[0])
-
-
-def _fitted_directions(model: LosslessResult, place: int) -> Directions:
-    """Derivatives of the prediction of one experiment of a fit by `(d, kappa)`, and by its free motion and offset."""
-    one = model.experiments[place]
-    seen = [l for l in range(model.order) if l not in model.unseen]
-    weighted = np.array([l not in model.active for l in seen], bool)
-    d, kappa = model.d[seen], model.modes.kappa[seen]
-    if isinstance(one.record, FrequencyRecord):
-        return of_response(one.record, d, kappa, weighted, model.quantity)
-    hold = Hold(one.record.dt, model.method, model.intersample)
-    moving = weighted if model.representation == "controllable" else np.ones(len(seen), bool)
-    offset = int(np.isfinite(model.offset_stderr[place])) + (one.drift != 0)
-    return of_record(one.record, d, kappa, one.free_amplitudes[seen], weighted, moving, hold, model.quantity, offset)
+    data: Any = model.experiments[place]
+    if isinstance(data.record, Recording | ResponseMatrix):
+        return _no_directions(data.record)
+    if isinstance(data.record, FrequencyRecord):
+        return of_response(data, model)
+    return of_record(data, model)
 
 
 # --- lossless systems ------------------------------------------------------------------------------------------------
 
 
-def _lossless_motions(system: Any, record: Record, hold: Hold, quantity: str = "velocity") -> Motions:
-    forced = response_on(system, record, np.zeros(system.nstates), hold, quantity, 0.0).y
+def _lossless_motions(system: Any, record: Record, hold: Hold) -> Motions:
+    """Motions of a system of the package without losses."""
+    forced = forced_response(system, record.time, record.u, method=hold.method, intersample=hold.intersample).y
     growth = float(np.hypot(1.0, hold.h * system.modes.d.max(initial=0.0))) if hold.method == "euler" else 1.0
     return Motions(np.reshape(forced, -1), lambda: _lossless_columns(system, record.samples, hold), growth)
 
@@ -413,24 +346,18 @@ def _free_motions(F: Array, C: Array, samples: int) -> Array:
 
 def _response(model: Any, label: str, record: FrequencyRecord | ResponseMatrix) -> ComplexArray:
     """Response at the frequencies of a record; refused where it is infinite at a point that was measured."""
-    background, delay = getattr(model, "background", None), np.zeros(1)
-    if isinstance(model, DampedResult):
-        model, delay = model.observed_system, model.delay
-    if isinstance(model, LosslessResult) and isinstance(record, FrequencyRecord):
-        live = model.r > 0
-        infinite = np.isin(record.omega, model.d[live])
-        response = model.modes.kappa[live] @ modal_columns(model.d[live], record.omega, model.quantity)[0]
-    else:
-        system = _system_of(getattr(model, "observed_system", model), label, record)
-        points = 1j * record.omega if system.isctime() else np.exp(1j * _sampled_phases(system, label, record))
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            response = system.horner(points, warn_infinite=False)
-        response = response if background is None else response + background.response(record.omega)
-        if delay.any():
-            with np.errstate(invalid="ignore"):
-                response = response * np.exp(-1j * np.multiply.outer(delay, record.omega))[:, None]
-        response = response[np.ix_(*_matching(system, label, record))] if record.observed.ndim > 1 else response[0, 0]
-        infinite = ~np.isfinite(response)
+    background = getattr(model, "background", None)
+    delay = model.delay if isinstance(model, PEMResult) else np.zeros(1)
+    system = _system_of(getattr(model, "observed_system", model), label, record)
+    points = 1j * record.omega if system.isctime() else np.exp(1j * _sampled_phases(system, label, record))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        response = system.horner(points, warn_infinite=False)
+    response = response if background is None else response + background.response(record.omega)
+    if delay.any():
+        with np.errstate(invalid="ignore"):
+            response = response * np.exp(-1j * np.multiply.outer(delay, record.omega))[:, None]
+    response = response[np.ix_(*_matching(system, label, record))] if record.observed.ndim > 1 else response[0, 0]
+    infinite = ~np.isfinite(response)
     offending = np.flatnonzero((infinite & record.observed).reshape(-1, record.samples).any(axis=0))
     if len(offending):
         k = int(offending[0])

@@ -1,4 +1,4 @@
-"""The result of a fit of damped modes, of any number of inputs and outputs."""
+"""The result of a fit: modes and real poles with their errors, what was tested, predictions, and a plain verdict."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ import control as ct
 import numpy as np
 
 from ... import _checks
-from ..._display import Report, counted, percent
-from ..._frozen import Frozen, ReadOnlyMapping
-from ..._types import Array, ArrayLike, ComplexArray, Mask, NDArray
+from ..._display import counted
+from ..._frozen import ReadOnlyMapping
+from ..._types import Array, ArrayLike, ComplexArray
 from ..._units import common_unit, hertz_size, with_unit
 from ...exceptions import ConditioningWarning, NotPassiveError, StructureError
 from ...modal.discretization import Hold
 from ...modal.general_form import from_vectors, real_matrices
+from ...modal.modal_form import from_frequencies
 from ...reduction.nearest_passive import nearest_passive
 from ...systems.port_hamiltonian import PortHamiltonian, ph
-from ..data.channels import Recording, ResponseMatrix
+from ..data.channels import Recording, ResponseMatrix, several
 from ..data.experiments import as_channels
 from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..regression.free_prediction import (
@@ -31,14 +32,16 @@ from ..regression.free_prediction import (
     predicted_outputs,
     unknown_samples,
 )
-from ..regression.prediction import FittedExperiment, ResponseBackground
+from ..regression.prediction import FittedExperiment, ResponseBackground, output_gain
 from ..search.circumstances import Finding
 from ..search.modal_search import orders_about
 from ..structure.layout import POWERS
 from ..uncertainty.draws import draw
 from ..uncertainty.modal_draws import ModalSamples
-from .report import DampedReport, damped_lines
-from .result import OrderRow, PEMResult
+from ..uncertainty.state_coordinates import InCoordinates
+from .bootstrap import Resampled
+from .report import ModalReport
+from .result import FittedModes, OrderRow
 from .scaled_shapes import ModeShapes, Ports
 from .stabilisation import Orders
 
@@ -46,8 +49,8 @@ _NO_SIZE = 1e-9  # of the largest singular value of a residue: what a state of i
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DampedResult(DampedReport, PEMResult):
-    """Result of `pem`: damped modes and real poles of m inputs and p outputs.
+class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
+    """Result of `pem`: modes and real poles of m inputs and p outputs.
 
     Attributes
     ----------
@@ -63,8 +66,11 @@ class DampedResult(DampedReport, PEMResult):
         Of sizes `|p|` of the poles, damping ratios, real and imaginary parts of the residues and the feedthrough,
         matrices row by row, K = 2N + (2N + 1) p m; rows and columns of what was not estimated are NaN, those of what
         is real by nature 0.
-    shapes, participation : ndarray of complex, shapes (n, p) and (n, m)
-        As of every `PEMResult`.
+    shapes : ndarray of complex, shape (n, p)
+        Mode shapes in units of velocity: of unit modal mass where `shapes_scaled`, else with the largest entry 1.
+    participation : ndarray of complex, shape (n, m)
+        What the inputs make of each mode: residues are `shape participation^T`, of outputs of other quantities times
+        powers of the pole.
     shape_stderr : ndarray of complex, shape (n, p)
         Standard errors of real and imaginary parts of the shapes.
     shapes_scaled : bool
@@ -78,7 +84,7 @@ class DampedResult(DampedReport, PEMResult):
         parts at unit weight.
     experiments : tuple of FittedChannels, or of FittedExperiment
         What the fit says of each experiment: data, free motions, offsets, prediction and residuals; of one input and
-        one output as in a lossless fit, `initial_state` that of `observed_system`.
+        one output with the initial state, that of `system` if it is lossless, else of `observed_system`.
     background : ResponseBackground or None
         Of a frequency response: constant, slope, and what modes outside the band leave, with standard errors.
     loss : float
@@ -103,16 +109,33 @@ class DampedResult(DampedReport, PEMResult):
         What the fit amounts to; `verdict` is its text.
     message : str
         What it rests on, in sentences.
-    intersample : str
-        Input between the samples: 'zoh' or 'foh'.
+    intersample, method : str
+        Input between the samples, 'zoh' or 'foh', and the discretisation of the model.
+    blind : bool
+        Whether the input does not show the residues: other residues, with other initial motions, give the same outputs.
     delay, delay_stderr : ndarray, shape (p,)
         Time by which each output comes later than the response to the inputs, 0 where none was found, and its standard
         error: 0 of a delay that was given, NaN of one that is known to a sample only.  Predictions have it, `system`
         not.
+    system : PortHamiltonian or control.StateSpace
+        The identified model.
+    natural_frequencies, damping_ratios : ndarray, shape (n,)
+        Of modes, `|p|`, ascending, rad per unit time, and `-Re p / |p|`; the former also as `d`.
+    real_poles, time_constants : ndarray, shape (r,)
+        Real poles, the slowest first, and `-1/p`; negative where one grows.
+    states : int
+        Number of all poles, `2 n + r`.
+    r, kappa : ndarray, shape (n,)
+        Weights of the paper and `kappa = r d`, of lossless and classical models of one input and one output.
     stderr : mapping
         Standard errors under the keys 'natural_frequencies', 'hertz', 'damping_ratios', 'real_poles',
-        'time_constants', 'residues', 'shapes', 'feedthrough' and 'delay'; those of complex numbers are complex, of
-        real and imaginary part.
+        'time_constants', 'residues', 'shapes', 'feedthrough', 'delay', 'offset', 'd', and where they mean something
+        'r', 'kappa' and 'initial_state'; those of complex numbers are complex, of real and imaginary part.  NaN for
+        what was not estimated, infinite for what the input does not show.
+
+    Examples
+    --------
+    See `pem`.
     """
 
     structure: str
@@ -144,6 +167,8 @@ class DampedResult(DampedReport, PEMResult):
     intersample: str
     delay: Array = field(default_factory=lambda: np.zeros(1))
     delay_stderr: Array = field(default_factory=lambda: np.zeros(1))
+    method: str = "exact"
+    blind: bool = False
     stderr: Mapping[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -166,7 +191,17 @@ class DampedResult(DampedReport, PEMResult):
             "shapes": self.shape_stderr,
             "feedthrough": deviation[2 * (count + self.residues.size) :].reshape(shape[1:]),
             "delay": self.delay_stderr,
+            "offset": np.array([data.offset_stderr for data in self.experiments]),
+            "d": deviation[:n],
         }
+        if self.blind:
+            unknown = np.isnan(parts["residues"])
+            parts["residues"] = np.where(unknown, complex(np.inf, np.inf), parts["residues"])
+        if self._has_weights:
+            parts |= self._weight_errors()
+        if self._moves_as_state:
+            states = [data.initial_stderr for data in self.experiments]
+            parts["initial_state"] = states[0] if len(states) == 1 else np.array(states)
         object.__setattr__(self, "stderr", ReadOnlyMapping(parts))
         super().__post_init__()
 
@@ -191,10 +226,51 @@ class DampedResult(DampedReport, PEMResult):
         """Natural frequencies: `natural_frequencies`."""
         return self.natural_frequencies
 
+    # --- weights of models of one input and one output -------------------------------------------------------------
+
     @property
-    def damped(self) -> DampedResult:
-        """The damped model, which a lossless fit has beside it: this one."""
-        return self
+    def _has_weights(self) -> bool:
+        alone = self.residues.shape[1:] == (1, 1) and not len(self.real_poles)
+        return alone and self.structure in ("lossless", "classical") and self.quantities != ("free",)
+
+    @property
+    def r(self) -> Array:
+        """Weights `r = kappa / d` of the modes, shape (n,)."""
+        if not self._has_weights:
+            raise StructureError(
+                f"weights r are those of lossless and classical modes of one input and one output; this fit is "
+                f"{self.structure!r}, with {self.residues.shape[2]} inputs, {self.residues.shape[1]} outputs and "
+                f"{counted(len(self.real_poles), 'real pole')}: see residues"
+            )
+        return weights_of(self.poles, self.residues[:, 0, 0], self.quantity)
+
+    @property
+    def kappa(self) -> Array:
+        """Residues `kappa = r d` of the modes in the velocity of the port, shape (n,)."""
+        return self.r * self.d
+
+    def _weight_errors(self) -> dict[str, Array]:
+        """Standard errors of `r` and `kappa`, by the derivatives of `r` by frequency, damping ratio and residue."""
+        n, power = self.order, POWERS[self.quantity]
+        zeta, d, r, l = self.damping_ratios, self.d, self.r, np.arange(n)
+        turn = np.sqrt(1 - zeta**2)
+        pole = -zeta + 1j * turn
+        per_weight = residue_of_unit_weight(d, power, zeta)
+        # of p = d (-zeta + i turn): the weight is the residue over d^k (pole)^k / (2 i turn)
+        by_zeta = power * (-1 - 1j * zeta / turn) / pole + zeta / turn**2
+        J = np.zeros((n, len(self.covariance)))
+        J[l, l], J[l, n + l] = -power * r / d, -(r * by_zeta).real
+        J[l, 2 * n + l], J[l, 3 * n + l] = (1 / per_weight).real, (1j / per_weight).real
+        known = ~np.isnan(np.diag(self.covariance))
+        inner = np.where(known[:, None] & known, self.covariance, 0.0)
+        of_kappa = J * d[:, None]
+        of_kappa[l, l] += r
+        seen = known[2 * n + l] | known[3 * n + l]
+        lost = np.inf if self.blind else np.nan
+        return {
+            name: np.where(seen, np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", T, inner, T), 0.0)), lost)
+            for name, T in (("r", J), ("kappa", of_kappa))
+        }
 
     # --- models ----------------------------------------------------------------------------------------------------
 
@@ -206,6 +282,8 @@ class DampedResult(DampedReport, PEMResult):
                 "the fit of a free motion has no inputs, and so no modal form; its poles and shapes are the attributes "
                 "of that name, and observed_system is a system with them"
             )
+        if self.structure == "lossless" and self._has_weights:
+            return from_frequencies(self.d, self.r)
         return from_vectors(self.poles, *self._factors)
 
     @property
@@ -254,6 +332,10 @@ class DampedResult(DampedReport, PEMResult):
         passive, or an input has no port, it is `observed_system`.
         """
         inputs = [i for _, i in self.ports]
+        if self.structure == "lossless" and self._has_weights and inputs:
+            names = {"inputs": _checks.without_dots(self.input_labels),
+                     "outputs": _checks.without_dots(self.output_labels)}  # fmt: skip
+            return with_unit(PortHamiltonian._from_modes(self.modes, **names), self.time_unit)
         if self.structure == "free" or sorted(inputs) != list(range(len(self.input_labels))) or not inputs:
             return self.observed_system
         ports = sorted(self.ports, key=lambda port: port[1])
@@ -370,7 +452,17 @@ class DampedResult(DampedReport, PEMResult):
         d, rho = np.abs(self.poles), self.residues.ravel()
         zeta = -self.poles.real / np.where(d > 0, d, 1.0)
         mean = np.concatenate([d, zeta, rho.real, rho.imag, self.feedthrough.ravel()])
-        found = draw(mean, self.covariance, k, rng, positive=np.arange(len(mean)) < n)
+        weights = np.zeros(len(mean), bool)
+        sign = np.ones(len(mean))
+        if self.structure == "lossless" and self._has_weights:
+            # weights stay positive: of a displacement that is the sign of minus the imaginary part
+            power = POWERS[self.quantity]
+            weights[(2 + (power != 1)) * n :][:n] = True
+            sign[weights] = -1.0 if power == 0 else 1.0
+        found = sign * draw(
+            sign * mean, self.covariance * np.outer(sign, sign), k, rng, positive=np.arange(len(mean)) < n,
+            nonnegative=weights,
+        )  # fmt: skip
         d, zeta = found[:, :n], found[:, n : 2 * n]
         poles = d * (-zeta + 1j * np.sqrt(np.maximum(1 - zeta**2, 0.0)))
         residues = (found[:, 2 * n :][:, :size] + 1j * found[:, 2 * n + size :][:, :size]).reshape(len(found), n, p, m)
@@ -445,7 +537,7 @@ class DampedResult(DampedReport, PEMResult):
         moving = any(bool(np.any(one.free_amplitudes)) for one in self.experiments)
         rows = orders_about(
             records, self.poles, most, quantities=self.quantities, intersample=self.intersample,
-            offset=bool(self.offsets.any()), moving=moving, delay=self.delay,
+            offset=bool(self.offsets.any()), moving=moving, method=self.method, delay=self.delay,
         )  # fmt: skip
         return [
             (self.poles[: self.order], self.shapes) if len(poles) == self.order
@@ -456,12 +548,27 @@ class DampedResult(DampedReport, PEMResult):
     # --- prediction ------------------------------------------------------------------------------------------------
 
     @property
+    def _moves_as_state(self) -> bool:
+        return all(isinstance(data, FittedExperiment) and data.initial_state.size for data in self.experiments)
+
+    @property
     def initial_state(self) -> Array:
-        """State of `observed_system` at the first sample, of a fit to one experiment of one input and one output."""
-        one = self._only("initial_state")
-        if not isinstance(one, FittedExperiment):
+        """State at the first sample, of a fit to one experiment of one input and one output.
+
+        Of `system` if it is lossless, else of `observed_system`.
+        """
+        data = self._only("initial_state")
+        if not isinstance(data, FittedExperiment):
             raise StructureError("outputs of several channels move freely each for itself: free_amplitudes has it")
-        return one.initial_state
+        return data.initial_state
+
+    @property
+    def initial_states(self) -> tuple[Array, ...]:
+        """The same of each experiment."""
+        states = [data.initial_state for data in self.experiments if isinstance(data, FittedExperiment)]
+        if len(states) < len(self.experiments):
+            raise StructureError("outputs of several channels move freely each for itself: free_amplitudes has it")
+        return tuple(states)
 
     @property
     def offsets(self) -> Array:
@@ -485,10 +592,11 @@ class DampedResult(DampedReport, PEMResult):
         ----------
         data : TimeResponseData, pair (u, y), or array of inputs, shape (T,) or (m, T)
             Inputs, with the outputs that the free motion is estimated from; `(None, y)` is a free motion.
-        initial_state : {'estimate', 'fitted', 'zero'}, or array_like, shape (2n,), or float, optional
-            Motion at the first sample: 'estimate' fits it to the outputs of `data`, 'fitted' takes that of this result.
-            Of one input and output also the state of `observed_system`; a number is every entry of it.  Default:
-            'estimate' if `data` has outputs, else 'zero'.
+        initial_state : {'estimate', 'fitted', 'final', 'zero'}, or array_like, shape (2n + r,), or float, optional
+            Motion at the first sample: 'estimate' fits it to the outputs of `data`, 'fitted' takes that of this result,
+            'final' goes on where the fitted record ended.  Of one input and output also a state, as `initial_state`; a
+            number is every entry of it.  Default: 'estimate' if `data` has outputs, else 'fitted', or 'zero' after
+            a fit to a frequency response or several experiments.
         dt : float, optional
             Time between samples, for arrays; by default that of the record that was fitted.
 
@@ -543,174 +651,74 @@ class DampedResult(DampedReport, PEMResult):
         seen = bool(record.observed.any())
         if initial_state is not None and not isinstance(initial_state, str):
             return self._outputs_from(self._motion_of(initial_state), record)
-        name = initial_state or ("estimate" if seen else "zero")
-        _checks.choice("initial_state", name, ("estimate", "fitted", "zero"))
-        hold = Hold(record.dt, "exact", self.intersample)
-        forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold, self.delay)
-        if name == "zero":
-            return forced
-        if name == "fitted":
-            one = self._only("free_amplitudes")
-            if np.iscomplexobj(one.predicted):
+        alone = len(self.experiments) == 1 and not np.iscomplexobj(self.experiments[0].predicted)
+        name = initial_state or ("estimate" if seen else "fitted" if alone else "zero")
+        _checks.choice("initial_state", name, ("estimate", "fitted", "final", "zero"))
+        hold = Hold(record.dt, self.method, self.intersample)
+        if name in ("fitted", "final"):
+            data = self._only("free_amplitudes")
+            if np.iscomplexobj(data.predicted):
                 raise StructureError(
                     "this fit is to a frequency response, which has no motion; use 'estimate' or 'zero'"
                 )
-            level, slope = (one.offsets, one.drifts) if isinstance(one, FittedChannels) else (one.offset, one.drift)
-            background = np.reshape(level, (-1, 1)) + np.outer(slope, record.dt * np.arange(record.samples))
-            return self._outputs_from(one.free_amplitudes, record) + background
+            return self._going_on(data, record) if name == "final" else self._beginning_as(data, record)
+        forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold, self.delay)
+        if name == "zero":
+            return forced
         if not seen:
-            raise StructureError("the record has no outputs to estimate the motion from; pass initial_state='zero'")
+            raise StructureError(
+                "the record has no outputs to estimate the motion from; pass initial_state='zero', 'fitted', 'final' "
+                "or a state"
+            )
         return forced + estimated_motion(self.poles, record, forced, hold, bool(self.offsets.any()), self.delay)
 
+    def _beginning_as(self, data: Any, record: Recording) -> Array:
+        """Outputs from the motion, and with the offset and drift, of an experiment of the fit."""
+        level, slope = (data.offsets, data.drifts) if isinstance(data, FittedChannels) else (data.offset, data.drift)
+        background = np.reshape(level, (-1, 1)) + np.outer(slope, record.dt * np.arange(record.samples))
+        return self._outputs_from(data.free_amplitudes, record) + background
+
+    def _going_on(self, data: Any, record: Recording) -> Array:
+        """Outputs where a record begins at the end of an experiment of the fit; a drift stays where it was."""
+        fitted = several(data.record)
+        u = fitted.u if len(fitted.u) else np.zeros((len(record.u), fitted.samples))
+        both = replace(record, u=np.concatenate([u, record.u], axis=1), y=np.concatenate([fitted.y, record.y], axis=1),
+                       time=record.dt * np.arange(fitted.samples + record.samples))  # fmt: skip
+        level, slope = (data.offsets, data.drifts) if isinstance(data, FittedChannels) else (data.offset, data.drift)
+        background = np.reshape(level, (-1, 1)) + np.reshape(slope, (-1, 1)) * record.dt * fitted.samples
+        return self._outputs_from(data.free_amplitudes, both)[:, fitted.samples :] + background
+
     def _motion_of(self, state: Any) -> ComplexArray:
-        """Motions (n,) of a state of `observed_system`."""
-        if self.residues.shape[1:] != (1, 1):
+        """Motions (n + r,) of a state."""
+        if self.residues.shape[1] != 1 or self.residues.shape[2] > 1:
             raise StructureError("initial_state is a state; of several channels it is 'estimate', 'fitted' or 'zero'")
         every, n = self._given_state(state), self.order
+        if self.structure == "lossless" and self._has_weights:
+            gain = output_gain(self.modes, self.quantity)
+            return np.asarray((gain * (every[:n] + 1j * every[n:])).conj())
         return np.concatenate([every[: 2 * n : 2] + 1j * every[1 : 2 * n : 2], every[2 * n :]])
 
     def _outputs_from(self, motion: ComplexArray, record: Recording) -> Array:
-        """Outputs from free motions (n,) or (n, p)."""
-        hold, outputs = Hold(record.dt, "exact", self.intersample), len(self.output_labels)
+        """Outputs from free motions (n + r,) or (n + r, p)."""
+        hold, outputs = Hold(record.dt, self.method, self.intersample), len(self.output_labels)
         forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold, self.delay)
         motion = np.broadcast_to(motion.reshape(len(self.poles), -1), (len(self.poles), outputs))
-        first = unknown_samples(self.delay, record.dt)
-        return np.asarray(forced + moved_freely(self.poles, motion, record.dt, record.samples, first))
+        return forced + moved_freely(self.poles, motion, hold, record.samples, unknown_samples(self.delay, record.dt))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class DampedModel(Report, Frozen):
-    """Modes with damping and residues of any phase, fitted to the same data as the lossless model beside it.
+def residue_of_unit_weight(d: Array, power: int, zeta: Any = 0.0) -> ComplexArray:
+    """Residues at the upper poles of modes with weight `r = 1`, differentiated `power` times from the displacement."""
+    turn = np.sqrt(1 - np.square(zeta))
+    if power == 1 and not np.any(zeta):
+        return np.asarray(0.5 * d, complex)
+    return np.asarray(d**power * (-zeta + 1j * turn) ** power / (2j * turn))
 
-    Arrays of modes leave out real poles, which `result` has.
 
-    `G(s) = D + sum_l rho_l / (s - p_l) + conj(rho_l) / (s - conj(p_l))`, for an output that is what was measured; by
-    maximum likelihood if the noise is white.  Sensors may be anywhere.  What is not listed is that of `result`.
-
-    Attributes
-    ----------
-    result : DampedResult
-        The same as the result of a fit, with an axis for outputs and one for inputs.
-    damped, negative : ndarray of bool, shape (n,)
-        Which damping ratios, and which weights below 0, stand out of the noise.
-    poles : ndarray of complex, shape (n,)
-        Those of positive imaginary part, by their natural frequencies.
-    natural_frequencies, hertz, damping_ratios : ndarray, shape (n,)
-        `|p|`, ascending, rad per unit time; in Hz, in cycles per unit of time where that is not known; `-Re p / |p|`.
-    order : int
-        Number of modes n.
-    loglik, fit_percent, quantity, time_unit
-        As those of the fit.
-    """
-
-    result: DampedResult
-    damped: Mask
-    negative: Mask
-
-    def __getattr__(self, name: str) -> Any:
-        if name == "result" or name.startswith("_"):
-            raise AttributeError(name)
-        return getattr(self.result, name)
-
-    @property
-    def residues(self) -> ComplexArray:
-        """`rho`, shape (n,); 0 for a free motion."""
-        found = self.result.residues
-        return found[: self.order, 0, 0] if found.size else np.zeros(self.order, complex)
-
-    @property
-    def feedthrough(self) -> float:
-        """`D`."""
-        return float(self.result.feedthrough.sum())
-
-    @property
-    def covariance(self) -> Array:
-        """Of natural frequencies, damping ratios, real and imaginary parts of the residues, and D, (4n + 1, 4n + 1).
-
-        NaN for what was not estimated.
-        """
-        n, every = self.order, len(self.result.poles)
-        found = np.full((4 * every + 1,) * 2, np.nan)
-        known = len(self.result.covariance)
-        found[:known, :known] = self.result.covariance
-        kept = np.append((every * np.arange(4)[:, None] + np.arange(n)).ravel(), 4 * every)
-        return found[np.ix_(kept, kept)]
-
-    @property
-    def noise_variance(self) -> float:
-        """Estimated variance of the noise."""
-        return float(self.result.noise_variance.sum())
-
-    @property
-    def loss(self) -> float:
-        """Mean squared residual over the observed samples."""
-        samples = self.result._spare + self.result.unknowns
-        return float(np.exp(-2 * self.result.loglik / samples - 1) / (2 * np.pi))
-
-    @property
-    def free_amplitudes(self) -> tuple[ComplexArray, ...]:
-        """Free motion of each mode in each record, `Re(amplitude exp(p t))`; empty for a response."""
-        return tuple(one.free_amplitudes for one in self.result.experiments)
-
-    @property
-    def initial_states(self) -> tuple[Array, ...]:
-        """State of `system` at the first sample of each record: real and imaginary parts of `free_amplitudes`."""
-        return tuple(one.initial_state for one in self.result.experiments if isinstance(one, FittedExperiment))
-
-    @property
-    def offsets(self) -> tuple[float, ...]:
-        """Constant added to the output of each record."""
-        return tuple(self.result.offsets.tolist())
-
-    @property
-    def predicted(self) -> tuple[NDArray[Any], ...]:
-        """Output of each experiment as the model has it; of a response with a background of modes outside its band."""
-        return tuple(one.predicted for one in self.result.experiments)
-
-    @property
-    def system(self) -> ct.StateSpace:
-        """Linear system from the input to what was measured, in real modal coordinates: two states a mode."""
-        return self.result.observed_system
-
-    @property
-    def stderr(self) -> Mapping[str, Any]:
-        """Standard errors: 'natural_frequencies', 'hertz', 'damping_ratios', 'residues', 'feedthrough'.
-
-        Those of residues are complex: of their real and imaginary parts.
-        """
-        n, deviation = self.order, np.sqrt(np.diag(self.covariance))
-        parts = {
-            "natural_frequencies": deviation[:n],
-            "hertz": deviation[:n] / hertz_size(self.time_unit),
-            "damping_ratios": deviation[n : 2 * n],
-            "residues": deviation[2 * n : 3 * n] + 1j * deviation[3 * n : 4 * n],
-            "feedthrough": deviation[-1:].reshape(()),
-        }
-        return ReadOnlyMapping(parts)
-
-    @property
-    def complex_weights(self) -> ComplexArray:
-        """Residues in units of `kappa = r d`, which is real where damping is light and positive at the actuator."""
-        return self._per_residue * self.residues
-
-    @property
-    def weights(self) -> tuple[Array, Array]:
-        """Real parts of `complex_weights`, and their standard errors."""
-        n, factor = self.order, self._per_residue
-        T = np.concatenate([np.diag(factor.real), np.diag(-factor.imag)], axis=1)
-        inner = T @ self.covariance[2 * n : 4 * n, 2 * n : 4 * n] @ T.T
-        return self.complex_weights.real, np.sqrt(np.diag(inner))
-
-    @property
-    def _per_residue(self) -> ComplexArray:
-        p = self.poles[: self.order]
-        return np.asarray(2j * p.imag / p ** POWERS[self.quantity])
-
-    def _headline(self) -> str:
-        return f"{counted(self.order, 'damped mode')}, fit {percent(self.fit_percent)}"
-
-    def __str__(self) -> str:
-        return "\n".join(damped_lines(self))
+def weights_of(poles: ComplexArray, residues: ComplexArray, quantity: str) -> Array:
+    """Weights `r` of lossless or classical modes with these residues of one input and one output, at least 0."""
+    d = np.abs(poles)
+    per_weight = residue_of_unit_weight(d, POWERS[quantity], -poles.real / d)
+    return np.maximum((residues / per_weight).real, 0.0)
 
 
 def _singular(poles: ComplexArray, residues: ComplexArray) -> tuple[ComplexArray, Array, ComplexArray]:
