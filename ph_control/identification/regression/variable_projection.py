@@ -89,10 +89,14 @@ def _descend(problem: Minimisation[At], state: Refinement[At], rtol: float, last
     """One iteration of Levenberg and Marquardt, damped as Nielsen does."""
     current = state.projection
     state.iterations += 1
-    scale = np.maximum(np.diag(current.gram), EPS * np.diag(current.gram).max(initial=0.0))
-    if not scale.any():
+    curvature, square = np.diag(current.gram), current.sizes**2
+    if not curvature.any():
         state.converged = True
         return
+    # curvatures are compared in steps of the size of each number, so that units do not count
+    least = np.divide(EPS * (curvature * square).max(), square, out=np.zeros(len(square)), where=square > 0)
+    scale = np.maximum(curvature, least)
+    scale[scale == 0] = 1.0
     step = _damped_step(current.gram, scale, state.damping, current.gradient)
     # as a largest share of the reach: the steps may be as small as they like
     step /= max(1.0, float(np.max(np.abs(step) / problem.reach(current), initial=0.0)))

@@ -139,10 +139,11 @@ class ConstrainedProjection(LinearProjection):
     """The data at a model with a structure, what belongs to each experiment at its best."""
 
     def __init__(self, problem: ConstrainedProblem, x: Array) -> None:
-        self.x, self.sizes, self._problem = x, np.maximum(np.abs(x), EPS), problem
+        self.x, self._problem = x, problem
         self._model, delays = np.split(x, [problem.coordinates.size])
         self.sections, self.residues, self.feedthrough = problem.coordinates.model(self._model)
         self.p = self.sections.p
+        self.sizes = np.append(problem.coordinates.sizes(self._model, problem.region.bin), np.abs(delays))
         start, layout = problem.start, problem.coordinates.layout
         self.delays = problem.delays and replace(problem.delays, values=delays)
         experiments = start.experiments if self.delays is None else self.delays.rows(start.experiments)  # type: ignore[type-var]

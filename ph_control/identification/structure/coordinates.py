@@ -119,6 +119,14 @@ class StructureCoordinates:
         matrices = self.matrices(self.residue_values(x))[self._unit_of_pole(sections)]
         return sections, self._factor(sections) * matrices, through
 
+    def sizes(self, x: Array, bin: float) -> Array:
+        """Sizes of the coordinates, in which steps are compared: of a value of residues its largest in any mode."""
+        found, largest = np.abs(x), np.abs(self.residue_values(x)).max(axis=0, initial=0.0)
+        found[: self._poles] = self.sections_at(x).sizes(bin)[self.kept]
+        each = np.tile(largest, self._units * (2 - self.real))
+        found[self._poles : self._poles + len(each)] = each
+        return found
+
     def matrices(self, values: NDArray[Any]) -> NDArray[Any]:
         """Residues over their factor, shape (units, p, m)."""
         raise NotImplementedError
