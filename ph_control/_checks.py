@@ -490,6 +490,12 @@ def flags(**given: Any) -> None:
             raise StructureError(f"{name} is {shown(value)}; it must be True or False")
 
 
+def flag_or_auto(name: str, value: Any) -> None:
+    """Check a keyword that may be left to the data."""
+    if not is_flag(value) and not (isinstance(value, str) and value == "auto"):
+        raise StructureError(f"{name} is {shown(value)}; it must be True, False or 'auto'")
+
+
 def band(value: Any) -> tuple[float, float]:
     """Check a band of frequencies, `(low, high)`."""
     edges = real_array("band", value)

@@ -14,7 +14,7 @@ from control import FrequencyResponseData, TimeResponseData
 from ... import _checks
 from ..._types import Array, ComplexArray
 from ..._units import checked_unit
-from ...exceptions import StructureError
+from ...exceptions import IdentificationError, StructureError
 from .frequency_record import FrequencyRecord, InFrequency, checked_points, checked_weights, title_of
 from .time_record import (
     LONG,
@@ -338,3 +338,30 @@ def _with_channels(
     weights = np.ones(response.shape)
     response[np.ix_(seen, driven)], weights[np.ix_(seen, driven)] = one.response, one.weights
     return replace(one, response=response, weights=weights, input_labels=inputs, output_labels=outputs)
+
+
+# --- what they show --------------------------------------------------------------------------------------------------
+
+
+def refuse_still(channels: Sequence[Recording] | Sequence[ResponseMatrix], moving: bool) -> None:
+    """Refuse outputs that are zero, and inputs whose response cannot be told from a free motion."""
+    seen = [bool(data.observed.any()) for data in channels]
+    if len(seen) > 1 and not all(seen):
+        place = seen.index(False)
+        raise IdentificationError(
+            f"experiment {place + 1} has no outputs: all {channels[place].samples} of them are NaN; leave it out"
+        )
+    for k, label in enumerate(channels[0].output_labels):
+        values = [data.y[k] if isinstance(data, Recording) else data.response[k] for data in channels]
+        if not any(np.any((value != 0) & (value == value)) for value in values):
+            raise IdentificationError(f"output {label!r} is zero throughout; there is nothing to model: leave it out")
+    recordings = [data for data in channels if isinstance(data, Recording)]
+    for k, label in enumerate(channels[0].input_labels if recordings else ()):
+        if all(np.all(data.u[k] == data.u[k, 0]) for data in recordings):
+            if not moving and any(data.u[k, 0] != 0 for data in recordings):
+                continue
+            raise IdentificationError(
+                f"input {label!r} is constant in every experiment, so that no response to it can be told from a free "
+                "motion: leave it out, pass (None, y) if nothing drove the outputs, or initial_state='zero' if a step "
+                "was applied to a plant at rest"
+            )

@@ -16,7 +16,7 @@ from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ...modal.modal_form import from_frequencies
-from ..data.channels import Recording, ResponseMatrix, single
+from ..data.channels import Recording, ResponseMatrix, refuse_still, single
 from ..data.frequency_record import FrequencyRecord
 from ..data.parts import Difference, Signal
 from ..data.quantities import checked_quantities
@@ -97,13 +97,12 @@ class Options:
     @classmethod
     def checked(cls, channels: Channels, **options: Any) -> Options:
         """Check options, and signals that could not show anything."""
-        order, offset = options["order"], options["offset"]
+        order = options["order"]
         if not isinstance(order, str):
             order = _checks.whole_number("order", order, 1)
         elif order != "auto":
             raise StructureError(f"order is {order!r}; it must be 'auto' or a whole number of at least 1")
-        if not isinstance(offset, str) or offset != "auto":
-            _checks.flags(offset=offset)
+        _checks.flag_or_auto("offset", options["offset"])
         most, real_poles = _checks.whole_number("max_order", options["max_order"], 1), options["real_poles"]
         if not isinstance(real_poles, str):
             real_poles = _checks.whole_number("real_poles", real_poles, 0)
@@ -111,7 +110,7 @@ class Options:
             raise StructureError(f"real_poles is {real_poles!r}; it must be 'auto' or a whole number of at least 0")
         delay = checked_delay(options["delay"], len(channels[0].output_labels))
         reporter(most, options["callback"])
-        _refuse_still(channels, options["moving"])
+        refuse_still(channels, options["moving"])
         if options["method"] == "euler" and options["intersample"] == "auto":
             options["intersample"] = "zoh"
         return cls(**{**options, "order": order, "max_order": most, "real_poles": real_poles, "delay": delay})
@@ -406,30 +405,6 @@ def _structure_of(free: FreeFit, request: Request) -> tuple[StructuredFit, tuple
     return fit, (test,)
 
 
-def _refuse_still(channels: Channels, moving: bool) -> None:
-    """Refuse outputs that are zero, and inputs whose response cannot be told from a free motion."""
-    seen = [bool(data.observed.any()) for data in channels]
-    if len(seen) > 1 and not all(seen):
-        place = seen.index(False)
-        raise IdentificationError(
-            f"experiment {place + 1} has no outputs: all {channels[place].samples} of them are NaN; leave it out"
-        )
-    for k, label in enumerate(channels[0].output_labels):
-        values = [data.y[k] if isinstance(data, Recording) else data.response[k] for data in channels]
-        if not any(np.any((value != 0) & (value == value)) for value in values):
-            raise IdentificationError(f"output {label!r} is zero throughout; there is nothing to model: leave it out")
-    recordings = [data for data in channels if isinstance(data, Recording)]
-    for k, label in enumerate(channels[0].input_labels if recordings else ()):
-        if all(np.all(data.u[k] == data.u[k, 0]) for data in recordings):
-            if not moving and any(data.u[k, 0] != 0 for data in recordings):
-                continue
-            raise IdentificationError(
-                f"input {label!r} is constant in every experiment, so that no response to it can be told from a free "
-                "motion: leave it out, pass (None, y) if nothing drove the outputs, or initial_state='zero' if a step "
-                "was applied to a plant at rest"
-            )
-
-
 def _without_modes(free: FreeFit) -> StructuredFit:
     """Make a fit without poles: what is fed through, and constants."""
     at, entries = free.projection, (len(free.channels[0].output_labels), len(free.channels[0].input_labels))
@@ -527,7 +502,7 @@ def _judged(
     if free.noise:  # that of the innovations, less what a structure costs
         loglik = free.criteria.loglik - 0.5 * (fit.loss - free.projection.loss) / free.variance
     samples = int(counts.sum())
-    spare = max(1, samples - unknowns)
+    spare = max(1, samples - (unknowns - len(free.scales)))  # as variances are divided by it, they are none of them
     rows = [row for one in experiments for row in _rows(one)]
     whiteness = 1.0 if free.rounding else ljung_box(rows, TUNING.lags)
     fitted = joint_percent(shares_left(predicted))
@@ -569,7 +544,7 @@ def _judged(
         quantities=request.quantities,
         noise_variance=(variances * samples / spare).reshape(fit.feedthrough.shape[: 1 + free.per_entry]),
         experiments=shown,
-        loss=float(fit.loss / samples),
+        loss=float(np.exp(counts @ np.log(variances) / max(1, samples))),
         loglik=loglik,
         aic=2 * unknowns - 2 * loglik,
         bic=unknowns * float(np.log(samples)) - 2 * loglik,

@@ -47,7 +47,6 @@ def lossless_from_dict(fields: Fields, experiments: Callable[..., Any], order_ta
     covariance[lost] = covariance[:, lost] = np.nan
     kept = np.arange(len(covariance)) if driven else np.arange(2 * n)
     through = np.array([[float((r * d).sum()) if power == 2 else 0.0]])[:, : int(driven)]
-    noise, loss = fields.number("noise_variance"), fields.number("loss")
     verdict = fields.text("verdict")
     outcome = _OUTCOMES.get(verdict) or next((one for one in Outcome if one.value == verdict), Outcome.DOUBTFUL)
     in_frequency = np.iscomplexobj(data[0].predicted)
@@ -57,8 +56,8 @@ def lossless_from_dict(fields: Fields, experiments: Callable[..., Any], order_ta
         covariance=covariance[np.ix_(kept, kept)], shapes=(root if driven else np.ones(n))[:, None].astype(complex),
         participation=(residues[:, 0] / np.where(root > 0, root, 1.0)[:, None]), shapes_scaled=driven,
         shape_stderr=np.full((n, 1), np.nan + 0j), ports=((0, 0),) * driven, quantities=(quantity,),
-        noise_variance=np.full((1, 1) if in_frequency else (1,), noise),
-        experiments=tuple(_without(one, seen) for one in data), loss=loss / noise if noise > 0 else 0.0,
+        noise_variance=np.full((1, 1) if in_frequency else (1,), fields.number("noise_variance")),
+        experiments=tuple(_without(one, seen) for one in data), loss=fields.number("loss"),
         loglik=fields.number("loglik"), aic=fields.number("aic"), bic=fields.number("bic"),
         fit_percent=fields.number("fit_percent"), unknowns=int(np.isfinite(np.diag(inner)).sum()) + 1,
         whiteness=fields.number("whiteness"), order_table=order_table(fields), tests=(), findings=(),

@@ -87,16 +87,16 @@ def pem(
         Model to start from, in place of the search; with a given order, modes are added to it if it has fewer.
     weights : array_like, shape (K,) or (p, m, K), or list of these, optional
         What the squared error at each frequency of a response counts; by default all the same, unless the residuals
-        show that the noise grows with the gain: then by the law of the noise of each response that is estimated,
-        `noise` in a lossless result, among the `findings` of a damped one.
+        show that the noise grows with the gain: then by the law of the noise of each response that is estimated, among
+        the `findings`.
     criterion : {'bic', 'aicc', 'aic', 'holdout'}
         What 'auto' minimises; 'holdout' is the error over the last third of each record, of models fitted to the rest.
     max_order : int
         Largest order tried by 'auto'.
     workers : int, executor, Dask client or map-like callable
-        Number of processes for further starts, -1 for all, or what runs them; the result does not depend on it.
+        Without effect, as the search runs in one process; `fit_many` fits several recordings at a time.
     rng : numpy.random.Generator or int, optional
-        Seeds of further starts; always the same by default.
+        Without effect, as the search has no random starts.
     callback : callable, optional
         Called as `callback(progress)` after each iteration, `progress` with `order`, `max_order`, `iteration`, `loss`.
         If it raises `StopIteration`, or on `KeyboardInterrupt`, the best model so far is returned, and says so.
@@ -117,9 +117,8 @@ def pem(
 
     Returns
     -------
-    LosslessResult or DampedResult
-        Model, standard errors, order table, residuals and a verdict: of one input and output that losses do not show
-        in, or that were fitted as lossless, a `LosslessResult`.
+    PEMResult
+        Model, standard errors, order table, residuals and a verdict.
 
     Raises
     ------

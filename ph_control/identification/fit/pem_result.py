@@ -88,7 +88,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
     background : ResponseBackground or None
         Of a frequency response: constant, slope, and what modes outside the band leave, with standard errors.
     loss : float
-        Mean squared residual in units of the noise of each output.
+        Mean squared residual; of several outputs, or entries of a response, the geometric mean of theirs.
     loglik, aic, bic : float
         Gaussian log-likelihood and the criteria made of it.
     fit_percent : float

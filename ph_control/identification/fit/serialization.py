@@ -119,7 +119,9 @@ def _scalar(fields: Fields, key: str, name: str, kind: Any) -> Any:
     if is_dataclass(kind):
         return _read(kind, fields.nested(key))
     if kind in (float, int, bool):
-        readers: dict[type, Callable[[str], Any]] = {float: fields.number, int: fields.integer, bool: fields.flag}
+        if kind is float:
+            return float(fields.array(key, (), finite=name not in _MAY_BE_NAN))
+        readers: dict[type, Callable[[str], Any]] = {int: fields.integer, bool: fields.flag}
         return readers[kind](key)
     found = fields.text(key)
     allowed = [one.value for one in kind] if issubclass(kind, Enum) else _WORDS.get(name, (found,))

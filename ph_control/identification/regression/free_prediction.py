@@ -42,7 +42,12 @@ class FittedChannels(FittedData):
     drifts: Array
     predicted: NDArray[Any]
     background: ResponseBackground | None = None
-    offset_stderr: Array = field(default_factory=lambda: np.zeros(0))
+    offset_stderr: Array = field(default_factory=lambda: np.full(1, np.nan))
+
+    def __post_init__(self) -> None:
+        errors = np.broadcast_to(self.offset_stderr, np.shape(self.offsets))
+        object.__setattr__(self, "offset_stderr", np.array(errors, float))
+        super().__post_init__()
 
     def __str__(self) -> str:
         """Say how much there is of it, and how well it is fitted."""

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as f_law
 
+from ... import _checks
 from ..._checks import EPS
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
@@ -984,10 +985,12 @@ class FreePath:
     def check(self, order: int) -> None:
         """Refuse more modes than the data can carry."""
         if order > self.carried:
-            have = "modes have" if order > 1 else "mode has"
+            unknowns, samples = self.search.unknowns(order), int(self.counts.sum())
+            have, need = "modes have" if order > 1 else "mode has", self.search.unknowns(1) + len(self.counts)
+            remedy = f"the largest order for these data is {self.carried}"
             raise IdentificationError(
-                f"{order} {have} {self.search.unknowns(order)} unknowns in all channels, more than the "
-                f"{int(self.counts.sum())} samples can carry; the largest order for these data is {self.carried}"
+                f"{_checks.shown(order)} {have} {_checks.shown(unknowns)} unknowns in all channels, more than the {samples} observed "
+                f"samples can carry; {remedy if self.carried else f'a mode needs at least {need}'}"
             )
 
     # --- models

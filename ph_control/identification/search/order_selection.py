@@ -20,6 +20,7 @@ from ..._workers import check_workers
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS
 from ...plotting.validation_plot import order_selection_plot
+from ..data.channels import refuse_still
 from ..data.experiments import as_channels
 from ..data.quantities import checked_quantities, quantity_of
 from .criteria import CRITERIA
@@ -246,10 +247,13 @@ def order_selection(
     )
     hold = _checks.choice("intersample", options.get("intersample", "auto"), ("auto", *INTERSAMPLE))
     method = _checks.choice("method", options.get("method", "exact"), METHODS)
+    offset = options.get("offset", "auto")
+    _checks.flag_or_auto("offset", offset)
+    refuse_still(channels, moving)
 
     def posed(channels: Any, reports: Any = lambda order: None) -> FreePath:
         return FreePath.of(
-            channels, quantities, hold, int(bool(options.get("offset", "auto"))), moving, "bic", reports, method=method
+            channels, quantities, hold, int(bool(offset)), moving, "bic", reports, method=method
         )  # fmt: skip
 
     path = posed(channels)
