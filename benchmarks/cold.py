@@ -3,8 +3,7 @@
 python -m benchmarks.cold ORDER SAMPLES [--work fit|step]
 
 The work is one fit, order known, or one step of variable projection at the true frequencies: the best residues and
-initial states, the residual, and its Jacobian by the frequencies reduced to a triangle, as every iteration of a fit
-does.
+free motions, the residual, and its Jacobian by the poles reduced to a triangle, as every iteration of a fit does.
 """
 
 from __future__ import annotations
@@ -25,9 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ph_control import pem
-from ph_control.identification.regression.modal_regressors import Hold
-from ph_control.identification.regression.time_rows import RecordRows
-from ph_control.identification.regression.variable_projection import Problem
+from ph_control.identification.regression.free import FreeProjection
+from ph_control.identification.regression.sections import Sections
+from ph_control.identification.regression.time_rows import FreeRecord
+from ph_control.modal.discretization import Hold
 
 from .recordings import Configuration, Recording, random_recording
 
@@ -100,11 +100,11 @@ def _fit(u: Array, y: Array, d: Array) -> Array:
 
 
 def _step(u: Array, y: Array, d: Array) -> Array:
-    observed = np.ones(len(y), bool)
-    problem = Problem((RecordRows(u, y, observed, Hold(1.0)),))
-    here = problem.project(np.array(d))
+    rows = FreeRecord(np.atleast_2d(u), np.atleast_2d(y), np.ones(len(y), bool), Hold(1.0))
+    here = FreeProjection([rows], 1j * d)
     assert here.loss > 0
-    return np.asarray(here.d - np.linalg.solve(here.gram, here.gradient))
+    moved = Sections.from_coordinates(here.x - np.linalg.solve(here.gram, here.gradient))
+    return np.asarray(np.abs(moved.p))
 
 
 WORKS: dict[str, Callable[[Array, Array, Array], Array]] = {"fit": _fit, "step": _step}

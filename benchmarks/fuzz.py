@@ -58,8 +58,8 @@ TOLD = (phc.IdentifiabilityWarning, phc.ResolutionWarning, phc.ConditioningWarni
 
 # what only the package makes: plain records of an answer, which nobody else fills in
 ANSWERS = (
-    "Bootstrap", "CanonicalMargins", "CasimirSplit", "Comparison", "DampedResult", "EnergyBalance", "Excitation",
-    "ExpressivePower", "FittedChannels", "FittedExperiment", "GradientResult", "KalmanDecomposition", "LosslessResult",
+    "Bootstrap", "CanonicalMargins", "CasimirSplit", "Comparison", "EnergyBalance", "Excitation",
+    "ExpressivePower", "FittedChannels", "FittedExperiment", "GradientResult", "KalmanDecomposition",
     "ModalSamples", "MorphismCheck", "Netlist", "OrderSelection", "PEMResult", "PassivityReport", "ResidualAnalysis",
     "ScaledCoefficients", "StructuralModes", "Symmetry", "Verdict", "UniversalModes", "FitTable", "ModeTracks",
     "OptimalDamping", "RecordingFitted", "ResponseBackground", "Stabilisation",

@@ -211,9 +211,6 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "nu": lambda draw: draw.rng.standard_normal((draw.n, draw.m)) + 1j * draw.rng.standard_normal((draw.n, draw.m)),
     "rigid": lambda draw: draw.rng.standard_normal((int(draw.rng.integers(0, 2)), draw.m)),
     "modes.d": lambda draw: pick(draw.rng, pool("system")) if draw.rng.random() < 0.3 else draw.frequencies(),
-    "ModeSamples.d": lambda draw: np.sort(draw.rng.uniform(0.5, 3, (6, draw.n))),
-    "ModeSamples.r": lambda draw: draw.rng.uniform(0.5, 3, (6, draw.n)),
-    "ModeSamples.initial_state": lambda draw: draw.rng.standard_normal((6, 2 * draw.n)),
     "a": _coefficients(0), "c": _coefficients(1),
     "mantissa": lambda draw: draw.rng.standard_normal(draw.n),
     "exponent": lambda draw: draw.rng.integers(-9, 9, draw.n),
@@ -277,7 +274,7 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "pem.initial_state": _choice("estimate", "zero"), "compare.initial_state": _choice("estimate", "zero"),
     "excitation.initial_state": _choice("estimate", "zero"), "order_selection.initial_state": _choice("estimate"),
     "residual_analysis.initial_state": _choice("estimate", "zero"),
-    "PEMResult.predict.initial_state": _choice(None, "fitted", "zero", "estimate"),
+    "PEMResult.predict.initial_state": _choice(None, "fitted", "final", "zero", "estimate"),
     "GradientResult.predict.initial_state": _choice("fitted", "zero"),
     "offset": _choice(False, True), "quantity": _choice("velocity", "displacement", "acceleration"),
     "modes_plot.quantity": _choice("kappa", "r"), "representation": _choice("observable", "controllable"),
@@ -415,7 +412,7 @@ def _on_a_background() -> phc.ResponseBackground:
 
 
 def _written_modes() -> list[Any]:
-    phc.write_uff(pool("DampedResult")[0], "modes.uff", places=["1+Z"], overwrite=True)
+    phc.write_uff(pool("PEMResult")[0], "modes.uff", places=["1+Z"], overwrite=True)
     return list(phc.read_uff("modes.uff"))
 
 
@@ -518,18 +515,16 @@ _POOLS |= {
         phc.from_second_order(np.eye(3), np.diag([1.0, 4.0, 9.0]), np.ones(3), modes=2).structural_modes
     ],
     "PEMResult": _fits,
-    "LosslessResult": lambda: [one for one in pool("PEMResult") if isinstance(one, phc.LosslessResult)],
-    "DampedResult": lambda: [one for one in pool("PEMResult") if isinstance(one, phc.DampedResult)],
     "FittedChannels": lambda: [
-        one for result in pool("DampedResult") for one in result.experiments if isinstance(one, phc.FittedChannels)
+        one for result in pool("PEMResult") for one in result.experiments if isinstance(one, phc.FittedChannels)
     ],
-    "ModalSamples": lambda: [one.sample(4, 0) for one in pool("DampedResult")],
+    "ModalSamples": lambda: [one.sample(4, 0) for one in pool("PEMResult")],
     "Bootstrap": lambda: [pool("PEMResult")[0].bootstrap(3)],
     "FitTable": lambda: [phc.fit_many([_record(1)[1:], (None, None)], dt=0.1)],
     "ModeTracks": lambda: [pool("FitTable")[0].track()],
     "OptimalDamping": lambda: [phc.optimal_damping(phc.spring_chain([1.0, 1.0], ground=1.0))],
     "RecordingFitted": lambda: [phc.RecordingFitted(1, 0, 2, "first", "consistent with the record")],
-    "Stabilisation": lambda: [pool("DampedResult")[0].stabilisation(1)],
+    "Stabilisation": lambda: [pool("PEMResult")[0].stabilisation(1)],
     "UniversalModes": lambda: _written_modes(),
     "Excitation": lambda: [phc.excitation((u, None), 2, dt=0.1) for u in (np.sin(np.arange(80.0)), _record(1)[1])],
     "GradientResult": lambda: [phc.gradient_descent(_record(1)[1:], 1, dt=0.1, epochs=2)],
@@ -537,7 +532,6 @@ _POOLS |= {
     "FittedExperiment": lambda: [
         one for result in pool("PEMResult") for one in result.experiments if isinstance(one, phc.FittedExperiment)
     ],
-    "ModeSamples": lambda: [pool("PEMResult")[0].sample(4, 0)],
     "ResponseBackground": lambda: [_on_a_background()],
     "ResidualAnalysis": lambda: [
         phc.residual_analysis(_record(5)[1:], pool("PEMResult")[0], dt=0.1),

@@ -49,6 +49,11 @@ def measured(exact: NDArray[np.complex128], omega: Array, size: Array, seed: int
     return ct.frd(exact + noise(size, seed), omega, smooth=False)
 
 
+def of_cause(result: Any, cause: str) -> list[tuple[float, ...]]:
+    """Values of the findings of some cause."""
+    return [finding.values for finding in result.findings if finding.cause.name == cause]
+
+
 def order(seeds: int) -> None:
     """How often the order is found where noise and weights go with the gain."""
     for n in ORDERS:
@@ -78,7 +83,7 @@ def coverage(seeds: int) -> None:
                 size = np.hypot(relative * np.abs(exact), floor * np.median(np.abs(exact)))
                 result = phc.pem(measured(exact, omega, size, seed), n, structure="lossless")
                 consistent += result.verdict.startswith("consistent")
-                grows += result.noise.kind == "gain"
+                grows += of_cause(result, "GAIN_NOISE") != []
                 intervals = result.confidence_interval()
                 for key, true in (("d", d), ("r", r)):
                     low, high = intervals[key].T
@@ -135,8 +140,8 @@ def outlier(seeds: int) -> None:
         named, alarms = 0, 0
         for seed in range(seeds):
             result, place = fit(seed, 200.0)
-            named += result.experiments[0].outliers == (place,) and result.verdict.startswith("doubtful")
-            alarms += fit(seed, 0.0)[0].experiments[0].outliers != ()
+            named += of_cause(result, "OUTLIERS") == [(place,)] and not result.verdict.startswith("consistent")
+            alarms += of_cause(fit(seed, 0.0)[0], "OUTLIERS") != []
         print(f"{name}: named {named} of {seeds}, false alarms {alarms}", flush=True)
 
 
@@ -154,8 +159,8 @@ def damping(seeds: int) -> None:
                 )
                 p += [test.p for test in result.tests]
                 consistent += result.verdict.startswith("consistent")
-                if result.damped is not None and result.damped.order == 3:
-                    scores.append((result.damped.damping_ratios - ratio) / result.damped.stderr["damping_ratios"])
+                if result.structure != "lossless" and result.order == 3:
+                    scores.append((result.damping_ratios - ratio) / result.stderr["damping_ratios"])
             shares = ", ".join(
                 f"p < {level:g}: {100 * np.mean(np.array(p) < level):.1f} %" for level in (0.05, 0.01, 1e-3)
             )

@@ -155,7 +155,7 @@ def test_a_fit_counts_as_found_by_its_distance_from_the_truth_in_units_of_the_bo
     config = trials.CONVERGENCE[0]
     trial = trials.convergence((config, 0))
     recording = trials.recording_of(config, 0)
-    result = phc.pem((recording.u, recording.y), order=2, dt=1.0)
+    result = phc.pem((recording.u, recording.y), order=2, dt=1.0, structure="lossless")
     distance = np.abs(result.d - recording.d) / standard_errors(recording)[:2]
     assert trial["outcome"] == trials.FOUND and np.isclose(trial["worst"], distance.max()) and trial["worst"] < 4
     assert trial["loss"] < trial["loss_of_truth"] and trial["seconds"] > 0
@@ -188,7 +188,7 @@ def test_an_error_of_the_fit_is_a_failure_with_its_message(monkeypatch):
     silent = dataclasses.replace(recording, y=0 * recording.y)
     monkeypatch.setattr(trials, "recording_of", lambda config, seed: silent)
     trial = trials.convergence((SMALL, 7))
-    assert trial["outcome"] == trials.ERROR and trial["error"].startswith("IdentificationError: the output is zero")
+    assert trial["outcome"] == trials.ERROR and "is zero throughout" in trial["error"]
     (line, told) = montecarlo._report_convergence(SMALL, [trial])
     assert "  0/1, at the optimum   0/1" in line and "seed 7: IdentificationError" in told
 
@@ -199,7 +199,7 @@ def test_efficiency_redraws_the_noise_only_and_its_errors_are_in_units_of_the_bo
     scaled = np.array([trial["scaled_error"] for trial in done])
     recording = trials.recording_of(config, 0)
     noisy = recording.again(np.random.default_rng([config.n, config.samples, 3, 1]))
-    result = phc.pem((recording.u, noisy.y), order=2, dt=1.0)
+    result = phc.pem((recording.u, noisy.y), order=2, dt=1.0, structure="lossless")
     off = np.concatenate([result.d, result.r, result.initial_state]) - recording.theta
     assert np.allclose(scaled[3], off / standard_errors(recording), rtol=1e-6)
     limits = 1.96 * np.concatenate([result.stderr[name] for name in ("d", "r", "initial_state")])

@@ -31,7 +31,6 @@ class FittedChannels(FittedData):
         Predicted outputs, NaN where they depend on inputs before the record; complex for a frequency response.
     background : ResponseBackground, optional
         What a frequency response has beside the modes.
-        Predicted outputs; complex for a frequency response.
     offset_stderr : ndarray, shape (p,)
         Standard errors of the offsets; NaN where none was estimated.
     """
@@ -47,6 +46,11 @@ class FittedChannels(FittedData):
     def __post_init__(self) -> None:
         errors = np.broadcast_to(self.offset_stderr, np.shape(self.offsets))
         object.__setattr__(self, "offset_stderr", np.array(errors, float))
+        super().__post_init__()
+
+    def __post_init__(self) -> None:
+        if not len(self.offset_stderr):
+            object.__setattr__(self, "offset_stderr", np.full(len(self.offsets), np.nan))
         super().__post_init__()
 
     def __str__(self) -> str:
