@@ -67,7 +67,7 @@ def fitted():
 
 
 RESULTS = {
-    "LosslessResult": fitted,
+    "PEMResult": fitted,
     "FittedExperiment": lambda: fitted().experiments[0],
     "Comparison": lambda: phc.compare(record(), chain(), labels=["<chain> & $co$"]),
     "ResidualAnalysis": lambda: phc.residual_analysis(record(), fitted()),
@@ -303,11 +303,11 @@ def test_a_result_is_one_line_in_a_list_and_a_report_where_it_is_printed(name):
     assert "<script" not in document and "$" not in document
     for word in str(result).split():
         # the summary of a fit has its table as a table
-        assert word in read or name == "LosslessResult"
+        assert word in read or name == "PEMResult"
 
 
 def test_the_line_of_a_fit_says_its_order_its_fit_and_the_verdict():
-    assert repr(fitted()) == f"<LosslessResult: 2 modes, fit {fitted().fit_percent:.2f} %, {fitted().verdict}>"
+    assert repr(fitted()) == f"<PEMResult: 2 modes, lossless, fit {fitted().fit_percent:.2f} %, {fitted().verdict}>"
     assert str(fitted()) == fitted().summary()
     comparison = RESULTS["Comparison"]()
     assert repr(comparison) == f"<Comparison: fit to 'v</pre>': <chain> & $co$ {comparison.fit_percent[0]:.2f} %>"
@@ -316,15 +316,12 @@ def test_the_line_of_a_fit_says_its_order_its_fit_and_the_verdict():
 
 def test_the_notebook_shows_the_modes_of_a_fit_with_their_errors():
     rows = [[cell.text for cell in row] for row in parsed(fitted()._repr_html_()).iter("tr")]
-    names = ["mode", "d [rad/time]", "±", "f [1/time]", "residue kappa", "±", "weight r", "±", "note"]
-    assert rows[0] == names
+    assert rows[0] == ["mode", "f [1/time]", "±", "damping [%]", "±", "|residue|", "±", "phase [deg]"]
     for l, row in enumerate(rows[1:]):
-        d, r = fitted().d[l], fitted().r[l]
-        errors = [fitted().stderr[name][l] for name in ("d", "r")]
-        assert np.allclose([float(row[k]) for k in (2, 7)], errors, rtol=0.05)
-        for k, value, error in ((1, d, errors[0]), (3, d / (2 * np.pi), errors[0]), (6, r, errors[1])):
-            assert abs(float(row[k]) - value) <= 0.05 * error + 1e-7 * value
-        assert abs(float(row[4]) - r * d) <= 0.05 * (d * errors[1] + r * errors[0]) + 1e-7 * r * d
+        values = fitted().d[l] / (2 * np.pi), 0.0, 0.5 * fitted().kappa[l]
+        errors = fitted().stderr["d"][l] / (2 * np.pi), 0.0, 0.5 * fitted().stderr["kappa"][l]
+        assert np.allclose([float(row[k]) for k in (2, 4, 6)], errors, rtol=0.05)
+        assert np.allclose([float(row[k]) for k in (1, 3, 5)], values, rtol=1e-7, atol=0.05 * max(errors))
     read = text_of(fitted()._repr_html_())
     assert fitted().message in read and "force <F> & $more$" in read and html.unescape(read) == read
 

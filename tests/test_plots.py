@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lossless import lossless_draws
 from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 
 import ph_control as phc
 from ph_control import (
-    ModeSamples,
     StructureError,
     bode_plot,
     fit_plot,
@@ -548,7 +548,7 @@ def test_style_keywords_of_python_control_reach_the_picture():
 def drawn_models(k=200, spread=0.01, seed=3):
     rng = np.random.default_rng(seed)
     d, r = np.array([1.0, 3.0]), np.array([1.0, 0.5])
-    return ModeSamples(*(x * (1 + spread * rng.standard_normal((k, 2))) for x in (d, r)))
+    return lossless_draws(*(x * (1 + spread * rng.standard_normal((k, 2))) for x in (d, r)))
 
 
 def bands_of(axis):

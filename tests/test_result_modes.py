@@ -37,14 +37,15 @@ def test_shapes_have_unit_modal_mass_and_make_the_residues_with_the_participatio
 
 
 def test_errors_are_those_of_draws(fit):
-    draws, turn = fit.sample(40_000, rng=1), fit.poles[0] ** (1 + POWER[fit.quantity]) / (2j * fit.d[0])
-    part = "real" if fit.quantity == "velocity" else "imag"
-    residues = 0.5 * draws.r * draws.d ** (1 + POWER[fit.quantity])
-    assert np.isclose(abs(getattr(turn, part)), abs(turn))
-    errors = fit.stderr["residues"][:, 0, 0]
-    assert np.allclose(getattr(errors, part), residues.std(axis=0), rtol=0.03)
-    assert not getattr(errors, "imag" if part == "real" else "real").any()
-    assert np.allclose(fit.stderr["shapes"][:, 0], np.sqrt(draws.r * draws.d).std(axis=0), rtol=0.03)
+    draws = fit.sample(40_000, rng=1)
+    residues, errors = draws.residues[:, :, 0, 0], fit.stderr["residues"][:, 0, 0]
+    part, other = ("real", "imag") if fit.quantity == "velocity" else ("imag", "real")
+    assert np.allclose(getattr(errors, part), getattr(residues, part).std(axis=0), rtol=0.03)
+    assert not getattr(errors, other).any() and not getattr(residues, other).any()
+    kappa = 2 * np.abs(residues) * draws.d ** -POWER[fit.quantity]
+    assert np.allclose(fit.stderr["shapes"][:, 0], np.sqrt(kappa).std(axis=0), rtol=0.03)
+    assert np.allclose(fit.stderr["kappa"], kappa.std(axis=0), rtol=0.03)
+    assert np.allclose(fit.stderr["r"], (kappa / draws.d).std(axis=0), rtol=0.03)
     assert np.array_equal(fit.stderr["natural_frequencies"], fit.stderr["d"])
 
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reference import DIGITS, EPS, foster_zeros, largest_error, on_axis
-from scipy.sparse import eye_array
+from lossless import lossless_draws
+from reference import DIGITS, EPS, foster_zeros, on_axis
 from scipy.stats import kstest, norm, truncnorm
 
 import ph_control as phc
 from ph_control.identification.uncertainty import draws as module
-from ph_control.identification.uncertainty.draws import ModeSamples, draw, normal_interval
+from ph_control.identification.uncertainty.draws import draw, normal_interval
 
 relaxed = settings(deadline=None, max_examples=25, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
@@ -70,7 +70,7 @@ def test_intervals_keep_the_shape_and_the_arguments():
 
 @pytest.mark.parametrize("level", NOT_A_LEVEL)
 def test_a_level_is_a_number_between_0_and_1(level):
-    samples = ModeSamples([[1.0], [2.0]], [[1.0], [1.0]])
+    samples = lossless_draws([[1.0], [2.0]], [[1.0], [1.0]])
     bands = (samples.magnitude_band, samples.phase_band, samples.step_band, samples.impulse_band)
     calls = [lambda: normal_interval(0.0, 1.0, level), *(lambda band=band: band([0.5], level) for band in bands)]
     for call in calls:
@@ -341,45 +341,39 @@ def random_samples(k, n, seed, *, scale=1.0, spread=0.01):
     d = scale * np.sort(rng.uniform(1, 10, n)) * (1 + spread * rng.standard_normal((k, n)))
     r = 10 ** rng.uniform(-2, 0, n) * np.exp(spread * rng.standard_normal((k, n)))
     r[:, 4::5] = 0.0
-    return ModeSamples(d, r)
+    return lossless_draws(d, r)
 
 
-def test_samples_give_their_modes_one_by_one():
-    d, r = np.array([[1.0, 2.0], [2.5, 1.5], [1.2, 2.2]]), np.array([[1.0, 0.0], [0.5, 3.0], [1.0, 1.0]])
-    samples = ModeSamples(d, r, np.arange(12.0).reshape(3, 4))
+def weights_of(samples):
+    """Weights `r` of lossless draws, shape (k, n)."""
+    return 2 * samples.residues[:, :, 0, 0].real / samples.d
+
+
+def test_samples_have_a_row_for_each_draw():
+    samples = lossless_draws([[1.0, 2.0], [2.5, 1.5], [1.2, 2.2]], np.ones((3, 2)))
     assert len(samples) == 3 and "3 draws of 2 modes" in repr(samples)
-    assert np.array_equal(samples[0].d, d[0]) and np.array_equal(samples[0].r, r[0])
-    # modes that changed places are sorted there, each with its weight
-    assert np.array_equal(samples[1].d, [1.5, 2.5]) and np.array_equal(samples[1].r, [3.0, 0.5])
-    assert np.array_equal(samples[-1].d, samples[2].d)
-    assert [list(modes.d) for modes in samples.modes] == [list(np.sort(row)) for row in d]
-    assert [list(modes.d) for modes in samples] == [list(np.sort(row)) for row in d]
-    for outside in (3, -4):
-        with pytest.raises(IndexError, match=f"sample {outside} of 3"):
-            samples[outside]
-    for index in (eye_array(3).tocsr(), 0.5, np.eye(2)):
-        with pytest.raises(phc.StructureError, match=r"index is .* whole number"):
-            samples[index]
+    # modes that changed places stay in their columns
+    assert np.array_equal(samples.d, [[1.0, 2.0], [2.5, 1.5], [1.2, 2.2]])
+    assert np.array_equal(samples.natural_frequencies, samples.d) and not samples.damping_ratios.any()
 
 
 def test_samples_are_locked_copies():
-    d, r = np.ones((2, 1)), np.ones((2, 1))
-    samples = ModeSamples(d, r)
-    d[0], r[0] = 7.0, 7.0
-    assert samples.d[0] == samples.r[0] == 1.0
-    assert samples.initial_state.shape == (2, 0)
-    for array in (samples.d, samples.r, samples.initial_state):
+    poles, residues = np.full((2, 1), 1j), np.full((2, 1, 1, 1), 0.5 + 0j)
+    samples = phc.ModalSamples(poles, residues, np.zeros((2, 1, 1)), np.ones((2, 1, 1)))
+    poles[0], residues[0] = 7j, 7.0
+    assert samples.poles[0] == 1j and samples.residues[0] == 0.5
+    for array in (samples.poles, samples.residues, samples.feedthrough, samples.shapes):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0.0
     with pytest.raises(AttributeError):
-        samples.d = d
+        samples.poles = poles
     for twin in (copy.deepcopy(samples), pickle.loads(pickle.dumps(samples))):
         assert np.array_equal(twin.step_band([0.5]), samples.step_band([0.5]))
 
 
 def test_no_draws_have_a_response_of_no_rows_and_no_band():
-    samples = ModeSamples(np.empty((0, 2)), np.empty((0, 2)))
-    assert len(samples) == 0 and list(samples.modes) == []
+    samples = lossless_draws(np.empty((0, 2)), np.empty((0, 2)))
+    assert len(samples) == 0
     assert samples.freqresp([1.0, 2.0]).shape == (0, 2)
     for band in (samples.magnitude_band, samples.phase_band, samples.step_band, samples.impulse_band):
         with pytest.raises(phc.StructureError, match="no samples"):
@@ -387,7 +381,7 @@ def test_no_draws_have_a_response_of_no_rows_and_no_band():
 
 
 def test_models_without_modes_have_the_response_0():
-    samples = ModeSamples(np.empty((3, 0)), np.empty((3, 0)))
+    samples = lossless_draws(np.empty((3, 0)), np.empty((3, 0)))
     assert np.array_equal(samples.magnitude_band([0.0, 1.0]), np.zeros((2, 2)))
     assert np.array_equal(samples.step_band([0.0, 1.0]), np.zeros((2, 2)))
 
@@ -399,22 +393,26 @@ def test_no_points_have_a_band_of_no_columns():
         assert band([]).shape == (2, 0)
 
 
+RIGHT = {
+    "poles": [[1j], [2j]], "residues": [[[[0.5]]], [[[1.0]]]], "feedthrough": [[[0.0]], [[0.0]]],
+    "shapes": [[[1.0]], [[1.0]]],
+}  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    "d, r, states",
+    "name, value",
     [
-        ([[1.0, 2.0]], [[1.0]], None),
-        ([1.0, 2.0], [1.0, 1.0], None),
-        ([[1.0]], [[1.0]], [[0.0], [0.0]]),
-        ([[0.0]], [[1.0]], None),
-        ([[-1.0]], [[1.0]], None),
-        ([[1.0]], [[-1e-30]], None),
-        ([[np.nan]], [[1.0]], None),
-        ([[1.0]], [[np.inf]], None),
+        ("poles", [[1j, 2j]]), ("poles", [1j, 2j]), ("poles", [[np.nan], [1j]]), ("poles", None), ("poles", {}),
+        ("poles", 1.0), ("residues", [[0.5], [1.0]]), ("residues", [[[[np.inf]]], [[[1.0]]]]), ("residues", "draws"),
+        ("feedthrough", [[[1j]], [[0.0]]]), ("feedthrough", [[[0.0]]]), ("feedthrough", [[[np.nan]], [[0.0]]]),
+        ("shapes", [[[1.0]]]), ("shapes", 3.0),
     ],
-)
-def test_what_are_no_samples_is_refused(d, r, states):
+    ids=repr,
+)  # fmt: skip
+def test_what_are_no_samples_is_refused(name, value):
+    assert len(phc.ModalSamples(**RIGHT)) == 2
     with pytest.raises(phc.StructureError):
-        ModeSamples(d, r, states)
+        phc.ModalSamples(**RIGHT | {name: value})
 
 
 @pytest.mark.parametrize("points", [[[1.0]], 1.0, [np.nan], [np.inf], ["a"]])
@@ -430,37 +428,63 @@ def test_what_are_no_points_is_refused(points):
 
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
 @pytest.mark.parametrize("n", [1, 2, 12])
-def test_each_response_is_right_to_1e_13_next_to_poles_and_zeros(n, scale):
+def test_each_response_is_right_to_the_rounding_of_its_terms_next_to_poles_and_zeros(n, scale):
     samples = random_samples(4, n, n, scale=scale)
-    row = samples.d[2]
-    live = samples.r[2] > 0
+    row, weights = samples.d[2], weights_of(samples)
+    live = weights[2] > 0
     order = np.argsort(row[live])
-    zeros = foster_zeros(row[live][order], (row * samples.r[2])[live][order])
+    zeros = foster_zeros(row[live][order], (row * weights[2])[live][order])
     w = np.concatenate([np.logspace(-3, 2, 11) * scale, row * (1 + 1e-12), row * (1 - 1e-9), [float(z) for z in zeros]])
     got = samples.freqresp(w)
     assert got.shape == (4, len(w)) and np.all(got.real == 0)
     for i in range(4):
-        assert largest_error(got[i].imag, on_axis(samples.d[i], samples.r[i], w)) < 1e-13
+        # at a zero, terms much larger than their sum cancel
+        size = np.sum(np.abs(0.5 * weights[i] * samples.d[i] / (w[:, None] - samples.d[i])), axis=1)
+        error = [
+            float(abs(mp.mpf(a) - b)) for a, b in zip(got[i].imag, on_axis(samples.d[i], weights[i], w), strict=True)
+        ]
+        assert np.all(error <= 8 * EPS * n * (size + np.abs(got[i])))
 
 
 @relaxed
 @given(st.integers(1, 6), seeds)
 def test_each_response_is_that_of_its_modal_form_at_poles_too(n, seed):
     samples = random_samples(3, n, seed)
+    weights = weights_of(samples)
     w = np.concatenate([[0.0], samples.d[1], -samples.d[2], np.linspace(0.1, 12, 20)])
-    got = samples.freqresp(w)
-    for row, modes in zip(got, samples.modes, strict=True):
-        expected = modes.freqresp(w)
+    for row, d, r in zip(samples.freqresp(w), samples.d, weights, strict=True):
+        expected = phc.modes(d, r).freqresp(w)
         assert np.array_equal(np.isinf(row), np.isinf(expected))
         finite = np.isfinite(row)
-        assert np.all(np.abs(row[finite] - expected[finite]) <= 32 * EPS * n * np.abs(expected[finite]))
+        size = np.sum(r * d / np.maximum(np.abs(np.abs(w)[:, None] - d), EPS * d), axis=1)
+        assert np.all(np.abs(row[finite] - expected[finite]) <= 32 * EPS * n * size[finite])
     # a pole at exactly this frequency is infinite, unless its weight is 0
-    assert np.array_equal(np.isinf(got[1, 1 : n + 1]), samples.r[1] > 0)
+    assert np.array_equal(np.isinf(samples.freqresp(w)[1, 1 : n + 1]), weights[1] > 0)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.3])
+def test_responses_of_any_poles_are_sums_over_poles_and_their_conjugates(delay):
+    poles, residues = np.array([-0.1 + 1j, 0.02 + 2j, -0.7, 0.0]), np.array([0.5 - 0.2j, 1j, 0.3, 0.2])
+    draws = phc.ModalSamples(
+        [poles] * 2, [residues.reshape(4, 1, 1)] * 2, [[[0.4]]] * 2, np.ones((2, 2, 1)), delay=delay
+    )
+    every, weights = np.append(poles, poles[:2].conj()), np.append(residues, residues[:2].conj())
+    w, t = np.array([0.1, 0.5, 2.0, 7.0]), np.array([0.0, 0.3, 4.0, 11.0])
+    expected = (np.sum(weights / (1j * w[:, None] - every), axis=1) + 0.4) * np.exp(-1j * w * delay)
+    np.testing.assert_allclose(draws.freqresp(w), [expected] * 2, rtol=1e-14)
+    np.testing.assert_allclose(draws.magnitude_band(w)[0], np.abs(expected), rtol=1e-14)
+    turns = (draws.phase_band(w)[0] - np.degrees(np.angle(expected))) / 360
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-14)
+    moved = np.exp(every * t[:, None])
+    np.testing.assert_allclose(draws.impulse_band(t)[0], (moved @ weights).real, rtol=1e-13)
+    # the pole at 0 integrates the step
+    integral = (moved - 1)[:, every != 0] @ (weights / np.where(every == 0, 1, every))[every != 0] + 0.2 * t
+    np.testing.assert_allclose(draws.step_band(t)[0], integral.real + 0.4, rtol=1e-13)
 
 
 def test_equal_frequencies_are_one_mode_with_the_sum_of_the_weights():
     d, r = np.array([[1.0, 1.0, 3.0], [1.1, 1.1, 2.9]]), np.array([[0.2, 0.3, 1.0], [0.25, 0.25, 1.1]])
-    apart, merged = ModeSamples(d, r), ModeSamples(d[:, 1:], np.column_stack([r[:, 0] + r[:, 1], r[:, 2]]))
+    apart, merged = lossless_draws(d, r), lossless_draws(d[:, 1:], np.column_stack([r[:, 0] + r[:, 1], r[:, 2]]))
     w, t = np.array([0.5, 1.0, 2.0, 5.0]), np.linspace(0, 10, 7)
     assert np.allclose(apart.freqresp(w).imag, merged.freqresp(w).imag, rtol=32 * EPS, atol=0)
     assert np.allclose(apart.magnitude_band(w), merged.magnitude_band(w), rtol=32 * EPS, atol=0)
@@ -488,10 +512,11 @@ def test_bands_hold_their_share_of_the_draws_and_no_more(level, seed):
     w, t = np.linspace(0.1, 12, 9), np.linspace(0.1, 9, 9)
     for values, band in (
         (np.abs(samples.freqresp(w)), samples.magnitude_band(w, level)),
-        (responses(samples, t, samples.r, np.sin), samples.step_band(t, level)),
-        (responses(samples, t, samples.r * samples.d, np.cos), samples.impulse_band(t, level)),
+        (responses(samples, t, weights_of(samples), np.sin), samples.step_band(t, level)),
+        (responses(samples, t, weights_of(samples) * samples.d, np.cos), samples.impulse_band(t, level)),
     ):
-        for outside in (values < band[0], values > band[1]):
+        rounding = 1e-12 * np.abs(values).max()
+        for outside in (values < band[0] - rounding, values > band[1] + rounding):
             assert np.all(np.abs(outside.sum(axis=0) - k * (1 - level) / 2) <= 1)
 
 
@@ -532,29 +557,30 @@ def test_no_table_is_larger_than_a_block(monkeypatch):
     monkeypatch.setattr(module, "_percentiles", noted)
     monkeypatch.setattr(module, "_BLOCK", 1000)
     random_samples(300, 2, 0).magnitude_band(np.linspace(1, 2, 100))
-    assert max(seen) == 900 and sum(seen) == 300 * 100
+    assert max(seen) <= 1000 and sum(seen) == 300 * 100
 
 
 @relaxed
 @given(st.integers(1, 5), st.integers(1, 9), seeds)
 def test_without_variance_the_bands_collapse_onto_the_response(n, k, seed):
     one = random_samples(1, n, seed)
-    same = ModeSamples(np.repeat(one.d, k, axis=0), np.repeat(one.r, k, axis=0))
+    same = lossless_draws(np.repeat(one.d, k, axis=0), np.repeat(weights_of(one), k, axis=0))
     w, t = np.concatenate([[0.0], one.d[0], np.linspace(0.1, 12, 10)]), np.linspace(0, 9, 10)
     gain = np.abs(one.freqresp(w)[0])
     assert np.array_equal(same.magnitude_band(w), [gain, gain])
-    assert np.array_equal(np.isinf(gain[1 : n + 1]), one.r[0] > 0)
+    assert np.array_equal(np.isinf(gain[1 : n + 1]), weights_of(one)[0] > 0)
     for band in (same.step_band, same.impulse_band):
         low, high = band(t)
         assert np.array_equal(low, high)
-    low, high = same.phase_band(w)
+    low, high = same.phase_band(w[1:])
     assert np.array_equal(low, high) and set(low) <= {90.0, -90.0}
+    assert not same.phase_band([0.0]).any()  # that of nothing
 
 
 @pytest.mark.parametrize("n", [1, 3])
 def test_a_time_in_other_units_changes_nothing_but_the_scale(n):
     samples, unit = random_samples(100, n, 0), 2.0**30
-    slow = ModeSamples(samples.d / unit, samples.r)
+    slow = lossless_draws(samples.d / unit, weights_of(samples))
     w, t = np.linspace(0.1, 12, 20), np.linspace(0, 9, 20)
     assert np.array_equal(slow.magnitude_band(w / unit), samples.magnitude_band(w))
     assert np.array_equal(slow.phase_band(w / unit), samples.phase_band(w))
@@ -565,7 +591,7 @@ def test_a_time_in_other_units_changes_nothing_but_the_scale(n):
 def test_across_a_pole_the_upper_end_is_the_gain_at_the_distance_that_few_draws_fall_below():
     """With one mode `|G| = r d w / |d^2 - w^2|`, about `r w / (2 |d - w|)`: the quantile of `|d - w|` is known."""
     d, sigma, k, level = 2.0, 1e-4, 40_000, 0.95
-    samples = ModeSamples(d + sigma * np.random.default_rng(0).standard_normal((k, 1)), np.ones((k, 1)))
+    samples = lossless_draws(d + sigma * np.random.default_rng(0).standard_normal((k, 1)), np.ones((k, 1)))
     low, high = samples.magnitude_band([d], level)[:, 0]
     tail = (1 - level) / 2
     near, far = sigma * norm.ppf(0.5 + tail / 2), sigma * norm.ppf(1 - tail / 2)
@@ -581,7 +607,7 @@ def test_a_pole_exactly_at_a_frequency_makes_the_upper_end_infinite_once_enough_
     ends = []
     for hits in (0, 2, 3, 4, 101):
         d[:hits] = 2.0
-        ends.append(ModeSamples(d, np.ones((k, 1))).magnitude_band([2.0], 0.95)[:, 0])
+        ends.append(lossless_draws(d, np.ones((k, 1))).magnitude_band([2.0], 0.95)[:, 0])
     # 2.5 % of 101 draws lie between the second and the third
     assert np.array_equal(np.isinf(np.array(ends)[:, 1]), [False, False, True, True, True])
     assert np.array_equal(np.isinf(np.array(ends)[:, 0]), [False, False, False, False, True])
@@ -601,7 +627,7 @@ def test_far_from_poles_the_band_is_the_linearised_one_and_near_a_pole_it_is_not
     R = np.array([[1, 0.3, -0.5, 0], [0.3, 1, 0, 0.2], [-0.5, 0, 1, 0.4], [0, 0.2, 0.4, 1]])
     C = R * np.outer(deviations, deviations)
     x = draw(np.concatenate([d, r]), C, k, 11, nonnegative=[True] * 4)
-    samples = ModeSamples(x[:, :2], x[:, 2:])
+    samples = lossless_draws(x[:, :2], x[:, 2:])
     factor = norm.ppf(0.975)
 
     far = np.array([0.2, 0.6, 1.5, 4.0, 30.0])
@@ -621,7 +647,7 @@ def test_far_from_poles_the_band_is_the_linearised_one_and_near_a_pole_it_is_not
 
 def test_bands_of_a_weight_near_0_do_not_go_below_it():
     x = draw([2.0, 0.1], np.diag([1e-6, 1.0]), 4000, 0, nonnegative=[False, True], positive=[True, False])
-    samples = ModeSamples(x[:, :1], x[:, 1:])
+    samples = lossless_draws(x[:, :1], x[:, 1:])
     w = np.array([0.5, 1.0])
     low, high = samples.magnitude_band(w)
     weights = truncnorm(-0.1, np.inf, loc=0.1).ppf([0.025, 0.975])
@@ -637,22 +663,22 @@ def test_the_phase_is_open_where_too_many_draws_have_the_other_sign(n, k, level,
     w = np.linspace(0.1, 12, 30)
     low, high = samples.phase_band(w, level)
     positive = (samples.freqresp(w).imag > 0).sum(axis=0)
-    # a percentile of k draws has (k - 1) p of them beyond it
+    # a percentile of k draws has (k - 1) p of them beyond it, and is between two neighbours
     allowed = (k - 1) * (1 - level) / 2
-    assert np.array_equal(low, np.where(k - positive > allowed, -90.0, 90.0))
-    assert np.array_equal(high, np.where(positive > allowed, 90.0, -90.0))
+    for end, others, here in ((low, k - positive, 90.0), (high, positive, -90.0)):
+        assert np.all(end[others <= allowed] == here) and np.all(end[others >= allowed + 1] == -here)
+        assert np.all(np.abs(end) <= 90)
 
 
-def test_at_a_pole_or_a_zero_the_phase_is_that_just_above():
-    samples = ModeSamples([[1.0, 7.0]], [[7.0, 1.0]])
-    w = np.array([-7.0, -6.0, -5.0, -3.0, -1.0, -0.5, 0.0, 0.5, 1.0, 3.0, 5.0, 6.0, 7.0, 9.0])
+def test_at_a_pole_the_phase_is_that_just_above():
+    samples = lossless_draws([[1.0, 7.0]], [[7.0, 1.0]])
+    w = np.array([-7.0, -6.0, -3.0, -1.0, -0.5, 0.5, 1.0, 3.0, 6.0, 7.0, 9.0])
     got = samples.freqresp(w)[0]
-    assert np.array_equal(w[got == 0], [-5.0, 0.0, 5.0]) and np.array_equal(w[np.isinf(got)], [-7.0, -1.0, 1.0, 7.0])
+    assert np.array_equal(w[np.isinf(got)], [-7.0, -1.0, 1.0, 7.0])
     low, high = samples.phase_band(w)
     assert np.array_equal(low, high)
     assert np.array_equal(low, np.degrees(np.angle(samples.freqresp(w + 1e-9)[0])))
-    exact = (got == 0) | np.isinf(got)
-    assert np.array_equal(np.degrees(np.angle(samples.freqresp(w - 1e-9)[0])), np.where(exact, -low, low))
+    assert np.array_equal(np.degrees(np.angle(samples.freqresp(w - 1e-9)[0])), np.where(np.isinf(got), -low, low))
 
 
 def test_the_phase_is_sure_however_large_the_errors_between_poles_that_stay_apart():
@@ -660,7 +686,7 @@ def test_the_phase_is_sure_however_large_the_errors_between_poles_that_stay_apar
     d = np.column_stack([rng.uniform(0.5, 1.5, 1000), rng.uniform(8, 12, 1000)])
     r = np.column_stack([rng.uniform(5, 10, 1000), rng.uniform(0.1, 0.2, 1000)])
     # the zero lies above sqrt(2.5 * 64 / (2.5 + 2.4))
-    low, high = ModeSamples(d, r).phase_band([0.1, 0.4, 1.0, 1.6, 5.7, 10.0, 12.1, 20.0], 0.999)
+    low, high = lossless_draws(d, r).phase_band([0.1, 0.4, 1.0, 1.6, 5.7, 10.0, 12.1, 20.0], 0.999)
     assert np.array_equal(low, [90, 90, -90, -90, -90, -90, -90, -90])
     assert np.array_equal(high, [90, 90, 90, -90, -90, 90, -90, -90])
 
@@ -687,8 +713,11 @@ def test_responses_in_time_are_right_to_rounding_after_many_periods(scale, perio
     for band, step in ((one.step_band, True), (one.impulse_band, False)):
         low, high = band(t)
         assert np.array_equal(low, high)
-        size = np.sum(one.r) if step else np.sum(one.r * one.d)
-        assert np.abs(low - in_time(one.d[0], one.r[0], t, step=step)).max() < 8 * EPS * size
+        r = weights_of(one)[0]
+        size = r if step else r * one.d[0]
+        # the phase is known to the rounding of the number of turns
+        allowed = 8 * EPS * np.sum(size * (1 + one.d[0] * t[:, None]), axis=1)
+        assert np.all(np.abs(low - in_time(one.d[0], r, t, step=step)) <= allowed)
 
 
 @relaxed
@@ -698,7 +727,8 @@ def test_bands_in_time_hold_the_percentiles_of_the_responses(n, k, level, seed):
     t = np.linspace(0, 5, 21)
     tails = [0.5 - level / 2, 0.5 + level / 2]
     for response, band in ((phc.step_response, samples.step_band), (phc.impulse_response, samples.impulse_band)):
-        outputs = [response(phc.ph(modes.minimal()), t).outputs for modes in samples.modes]
+        models = (phc.modes(d, r) for d, r in zip(samples.d, weights_of(samples), strict=True))
+        outputs = [response(phc.ph(modes.minimal()), t).outputs for modes in models]
         size = float(np.max(np.abs(outputs)))
         assert np.abs(band(t, level) - np.quantile(outputs, tails, axis=0)).max() < 1e-12 * size
 
@@ -717,19 +747,13 @@ def test_before_the_step_the_response_is_0_and_the_order_of_the_instants_does_no
 
 def test_the_band_of_the_step_response_widens_until_the_phase_is_lost():
     sigma = 1e-3
-    samples = ModeSamples(2.0 + sigma * np.random.default_rng(0).standard_normal((4000, 1)), np.ones((4000, 1)))
+    samples = lossless_draws(2.0 + sigma * np.random.default_rng(0).standard_normal((4000, 1)), np.ones((4000, 1)))
     crossing = np.pi * np.array([2.0, 20.0]) / 2
     low, high = samples.step_band(crossing)
     # at a crossing of 0 the response is the phase error
     assert np.all(np.abs((high - low) / (2 * norm.ppf(0.975) * sigma * crossing) - 1) < 0.05)
     low, high = samples.step_band(np.linspace(10, 12, 50) / sigma)
     assert np.all(high > 0.99) and np.all(low < -0.99)
-
-
-@pytest.mark.parametrize("values", [(1.0, 2.0), (None, [[1.0]]), ([[1.0]], {}), ([[1.0]], [[1.0]], 3.0)], ids=repr)
-def test_draws_of_no_shape_are_refused(values):
-    with pytest.raises(phc.StructureError):
-        ModeSamples(*values)
 
 
 @pytest.mark.parametrize("k", [2**31, 2**63, 10**400])

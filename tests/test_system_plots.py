@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lossless import lossless_draws
 from matplotlib.colors import to_rgb
 
 import ph_control as phc
 from ph_control import (
-    ModeSamples,
     NotLosslessError,
     StructureError,
     energy_plot,
@@ -24,7 +24,7 @@ from ph_control import (
 )
 from ph_control.plotting import time_plot as transients
 from ph_control.plotting.inputs import subjects_of
-from ph_control.plotting.mode_plot import PoleZeroMap, kappa_intervals, pole_zero_map, strips
+from ph_control.plotting.mode_plot import PoleZeroMap, pole_zero_map, strips
 from ph_control.plotting.time_plot import response_of, transient_data
 
 EPS = np.finfo(float).eps
@@ -329,7 +329,7 @@ def test_a_response_that_cannot_be_drawn_says_why(arguments, message):
 def models(k=100, n=2):
     rng = np.random.default_rng(3)
     d, r = np.arange(1.0, 2 * n, 2.0), np.ones(n)
-    return ModeSamples(*(x * (1 + 0.01 * rng.standard_normal((k, n))) for x in (d, r)))
+    return lossless_draws(*(x * (1 + 0.01 * rng.standard_normal((k, n))) for x in (d, r)))
 
 
 @pytest.mark.parametrize("kind", PLOTS)
@@ -350,7 +350,7 @@ def test_the_band_of_a_response_is_that_of_the_models(kind):
 def test_a_band_that_costs_too_much_is_drawn_for_the_beginning_and_says_so(monkeypatch):
     monkeypatch.setattr(transients, "_MOST_IN_BAND", 100_000)
     drawn = models(k=100, n=4)
-    plot = step_plot(phc.modes(drawn.d[0], drawn.r[0]), 1000.0, confidence=drawn)
+    plot = step_plot(phc.modes(drawn.d[0], np.ones(4)), 1000.0, confidence=drawn)
     (band,) = labelled(plot.axes[0, 0], "band")
     end = band.get_paths()[0].vertices[:, 0].max()
     assert 0.0 < end < 1000.0
@@ -460,24 +460,14 @@ def test_a_fit_is_drawn_with_its_intervals():
 
 
 def test_intervals_of_residues_follow_from_those_of_weights_and_frequencies():
-    d, r = np.array([2.0, 5.0]), np.array([1.0, 0.2])
-    factor = np.random.default_rng(1).standard_normal((4, 4)) * 0.01
-    covariance = factor @ factor.T
-    half = 1.96 * np.sqrt(np.diag(covariance)[2:])
-    found = kappa_intervals(d, r, covariance, np.stack([r - half, r + half], axis=1))
-    draws = np.random.default_rng(2).multivariate_normal(np.concatenate([d, r]), covariance, 200_000)
-    expected = 1.96 * (draws[:, :2] * draws[:, 2:]).std(axis=0)
-    # the spread of 200 000 draws is known to half a percent, of products to their second order
-    np.testing.assert_allclose(found[:, 1] - r * d, expected, rtol=0.01)
-    np.testing.assert_allclose(found.mean(axis=1), r * d)
-
-
-def test_intervals_that_the_data_do_not_give_are_left_out_and_ends_are_not_negative():
-    nothing = np.full((2, 2), np.nan)
-    assert np.isnan(kappa_intervals(np.ones(1), np.ones(1), nothing, np.full((1, 2), np.nan))).all()
-    covariance = np.diag([0.0, 1.0])
-    low, high = kappa_intervals(np.array([2.0]), np.array([0.1]), covariance, np.array([[0.0, 2.06]]))[0]
-    assert (low, high) == (0.0, pytest.approx(4.12))
+    result, _ = fitted(noise=1.0)
+    ends = result.confidence_interval(0.9)["kappa"]
+    (bars,) = modes_plot(result, level=0.9).axes[0, 0].containers
+    np.testing.assert_allclose(np.array(bars[2][1].get_segments())[:, :, 1], ends)
+    draws = 2 * result.sample(100_000, rng=2).residues[:, :, 0, 0].real
+    # of many more residuals than parameters Student's distribution is the normal one to half a percent
+    np.testing.assert_allclose(ends[:, 1] - result.kappa, 1.645 * draws.std(axis=0), rtol=0.015)
+    np.testing.assert_allclose(ends.mean(axis=1), result.kappa)
 
 
 def test_modes_are_those_of_continuous_time():

@@ -18,7 +18,7 @@ from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
 from ..numerics.rational import poles as poles_of
 from ..systems.base import in_normal_form
-from .inputs import Subject, as_measured, is_damped, is_fit, models_around, subjects_of, timebase, title_of
+from .inputs import Subject, as_measured, is_fit, models_around, subjects_of, timebase, title_of
 
 _PER_DECADE = 200
 _AROUND_ALL = 6000  # grid points on each side of all poles and zeros together
@@ -36,7 +36,6 @@ _PER_BIN = 256  # levels of which a median is taken
 _SEEN = 1e-6  # relative distance of samples on both sides of a pole or zero that no picture resolves
 _BEYOND = 1e4  # decibels
 _LONE = 40.0  # decibels by which a few samples may stick out of all others before they leave the picture
-POWERS = {"displacement": -1, "velocity": 0, "acceleration": 1}  # of s, from the velocity
 _COHERENT = 0.5  # coherence below which dots are pale
 
 
@@ -86,10 +85,23 @@ class Curve:
         usable = np.isfinite(values) & (values != 0)
         angle = np.full(values.shape, np.nan)
         angle[usable] = np.angle(values[usable])
+        # without losses half a turn has no sign; with small ones the phase falls at a pole
+        turned = (values.imag == 0) & (values.real < 0) & usable
+        angle[turned] = np.pi if turned[np.argmax(usable)] else -np.pi
         if unwrap:
             # a pole on the axis turns the phase by half a turn in no time, which is not a wrap
             angle[usable] = np.unwrap(angle[usable], discont=1.5 * np.pi)
         return np.degrees(angle)
+
+    def phase_band(self, i: int, j: int, *, unwrap: bool = True) -> Array:
+        """Ends of the band of phases, shape (2, N), by whole turns next to the curve."""
+        assert self.band is not None
+        phase, ends = self.phase(i, j, unwrap=unwrap), self.band.phase
+        known = np.isfinite(phase)
+        if not known.any():
+            return ends
+        beside = np.interp(np.log(self.band.omega), np.log(self.omega[known]), phase[known])
+        return np.asarray(ends + 360.0 * np.round((beside - ends.mean(axis=0)) / 360.0))
 
     def phase_near(self, i: int, j: int, other: Curve) -> Array:
         """Degrees within half a turn of the phase of another curve."""
@@ -211,11 +223,10 @@ def bode_data(
     extents = np.concatenate([_extent(one.system, measured) for one in subjects])
     grid, low, high = _frequencies(extents, measured, omega, omega_limits, unit)
     curves = [_curve(one, grid, low, high, omega_num) for one in subjects]
-    for k, (one, curve, drawn) in enumerate(zip(subjects, curves, models, strict=True)):
+    for k, (curve, drawn) in enumerate(zip(curves, models, strict=True)):
         if drawn is not None:
             near = frequency_grid(curve.singular, low, high, False, omega_num, _AROUND_BAND, _CLOSEST_BAND)
-            around = band_of(drawn, near if grid is None else grid, level, _power_of_s(one))
-            curves[k] = replace(curve, band=around)
+            curves[k] = replace(curve, band=band_of(drawn, near if grid is None else grid, level))
     observed = [one.given.observed_system if is_fit(one.given) else one.system for one in subjects]
     title = title_of("Bode plot", subjects, label is not None)
     if title == "Bode plot" and first.issiso():
@@ -238,19 +249,13 @@ def degrees_from(low: float, values: ComplexArray) -> Array:
     return np.where(usable, np.mod(angle - low, 360.0) + low, np.nan)
 
 
-def _power_of_s(subject: Subject) -> int:
-    """Power of s that leads from the velocity of a port to the quantity that a fit is of."""
-    lossless = is_fit(subject.given) and not is_damped(subject.given)
-    return POWERS[subject.given.quantity if lossless else "velocity"]
-
-
-def band_of(models: Any, omega: Array, level: float, power: int) -> BodeBand:
-    """Band of models drawn around a system, each times a power of s."""
+def band_of(models: Any, omega: Array, level: float, **entry: int) -> BodeBand:
+    """Band of models drawn around a system."""
     with np.errstate(divide="ignore"):
-        size = 20.0 * np.log10(models.magnitude_band(omega, level)) + 20.0 * power * np.log10(omega)
+        size = 20.0 * np.log10(models.magnitude_band(omega, level, **entry))
     # infinite where draws have their pole, zero where they have their zero: beyond any picture
     size = np.clip(size, -_BEYOND, _BEYOND)
-    return BodeBand(f"{100 * level:g} % band", omega, size, models.phase_band(omega, level) + 90.0 * power)
+    return BodeBand(f"{100 * level:g} % band", omega, size, models.phase_band(omega, level, **entry))
 
 
 def _measurement(data: Any, sys: Any, segments: int, intersample: str, label: str | None) -> Curve | None:
@@ -297,10 +302,6 @@ def _curve(subject: Subject, grid: Array | None, low: float, high: float, count:
     s = 1j * grid
     response = _balanced(sys)(s if nyquist is None else np.exp(s * timebase(sys)), squeeze=False, warn_infinite=False)
     response = as_measured(subject.given, response, grid)
-    power = _power_of_s(subject)
-    if power:
-        # a zero without sign leaves the phase of a lossless response at one side of half a turn
-        response = (response + 0.0) * (s if power > 0 else 1.0 / s)
     return Curve(subject.label, grid, response, singular, nyquist)
 
 

@@ -84,7 +84,7 @@ def bode_plot(
         `record` of a `PEMResult`.
     segments, intersample
         As in `spectral_estimate`.
-    confidence : PEMResult or ModeSamples, or list of them, or True, optional
+    confidence : PEMResult or ModalSamples, or list of them, or True, optional
         Whose `magnitude_band` and `phase_band` to shade around the first system, or around each; True stands for the
         results of `pem` among the systems.  Such a result draws 300 models, always the same.
     level : float
@@ -229,7 +229,7 @@ def _draw_phases(
 ) -> list[Any]:
     size, first, measured = 1.0 if degrees else np.pi / 180.0, numbers.curves[0], numbers.measured
     phases = [size * curve.phase(i, j, unwrap=not wrap) for curve in numbers.curves]
-    bands = [None if curve.band is None else size * curve.band.phase for curve in numbers.curves]
+    bands = [None if curve.band is None else size * curve.phase_band(i, j, unwrap=not wrap) for curve in numbers.curves]
     dots = None
     if measured is not None:
         dots = size * (measured.phase(i, j, unwrap=False) if wrap else measured.phase_near(i, j, first))

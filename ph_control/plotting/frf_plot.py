@@ -20,7 +20,7 @@ from ..analysis.spectral_estimate import INTERSAMPLE, hold_response, response_ma
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics.rational import poles as poles_of
-from .bode_data import POWERS, band_of, decibels, degrees_from
+from .bode_data import band_of, decibels, degrees_from
 from .inputs import as_measured, measurements_of, recording_in, table_in, timebase
 from .style import (
     BAND,
@@ -495,14 +495,8 @@ def _bands(
     models, found = model.sample(_DRAWS, 0), {}
     for i, row in enumerate(rows):
         for j, column in enumerate(columns):
-            if hasattr(models, "residues"):
-                entry = {"output": int(row), "input": int(column)}
-                with np.errstate(divide="ignore"):
-                    gain = 20.0 * np.log10(models.magnitude_band(omega, level, **entry))
-                found[i, j] = gain, models.phase_band(omega, level, **entry)
-            else:
-                band = band_of(models, omega, level, POWERS[model.quantity])
-                found[i, j] = band.magnitude, band.phase
+            band = band_of(models, omega, level, output=int(row), input=int(column))
+            found[i, j] = band.magnitude, band.phase
     return found
 
 

@@ -50,11 +50,6 @@ def is_fit(given: Any) -> bool:
     return hasattr(given, "experiments") and hasattr(given, "confidence_interval")
 
 
-def is_damped(given: Any) -> bool:
-    """Whether this is a result of damped modes, whose models answer with what was measured."""
-    return is_fit(given) and hasattr(given, "quantities")
-
-
 def as_measured(given: Any, response: ComplexArray, omega: Array) -> ComplexArray:
     """Response (p, m, K) of a model as it was measured: of a result on its background, and with its delay."""
     background, delay = (getattr(given, name, None) for name in ("background", "delay"))
@@ -113,12 +108,14 @@ def subjects_of(sysdata: Any, label: str | Sequence[str] | None, *, tabulated: b
 
 
 def _inside(given: Any) -> Any:
-    """Linear system of what is to be drawn: of damped modes from the inputs to what was measured."""
+    """Linear system of what is to be drawn: of a fit that from the inputs to what was measured."""
     if isinstance(given, ModalForm):
         return given.state_space() if isinstance(given, GeneralModalForm) else ph(given)
     if not is_fit(given):
         return given
-    return given.observed_system if is_damped(given) else given.system
+    # where both are the same, that of the ports has its poles on the axis to the last digit
+    same = given.structure == "lossless" and set(given.quantities) == {"velocity"}
+    return given.system if same else given.observed_system
 
 
 def _names(given: list[Any], systems: list[Any]) -> list[str]:

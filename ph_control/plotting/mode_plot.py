@@ -177,14 +177,12 @@ def mode_table(subject: Subject, quantity: str, level: float) -> ModeTable:
         return _damped_table(subject.label, modes, quantity)
     size = (modes.kappa if quantity == "kappa" else modes.r).reshape(len(modes.d), modes.nports)
     at_zero = np.atleast_2d(modes.kappa_0).diagonal() if quantity == "kappa" else np.zeros(modes.nports)
-    if not is_fit(subject.given):
+    if not is_fit(subject.given) or quantity not in subject.given.stderr:
         unknown = np.full((len(modes.d), 2), np.nan)
         return ModeTable(subject.label, modes.d, size, at_zero, unknown, unknown, None)
     intervals = subject.given.confidence_interval(level)
-    sizes = np.asarray(intervals["r"])
-    if quantity == "kappa":
-        sizes = kappa_intervals(modes.d, modes.r, subject.given.covariance, sizes)
-    return ModeTable(subject.label, modes.d, size, at_zero, np.asarray(intervals["d"]), sizes, level)
+    ends = np.asarray(intervals["d"]), np.asarray(intervals[quantity])
+    return ModeTable(subject.label, modes.d, size, at_zero, *ends, level)
 
 
 def _damped_table(label: str, modes: Any, quantity: str) -> ModeTable:
@@ -208,17 +206,6 @@ def _damped_table(label: str, modes: Any, quantity: str) -> ModeTable:
         size = size / d[:, None]
     unknown = np.full((len(d), 2), np.nan)
     return ModeTable(label, d, size, at_zero, unknown, unknown, None, zeta)
-
-
-def kappa_intervals(d: Array, r: Array, covariance: Array, r_intervals: Array) -> Array:
-    """Confidence intervals of `kappa = r d`, shape (n, 2), from those of `r` and the covariance of `(d, r, ..)`."""
-    n = len(d)
-    dd, rr, dr = (np.diagonal(covariance[i : i + n, j : j + n]) for i, j in ((0, 0), (n, n), (0, n)))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        # in units of those of r, so that one level serves both; a lower end cut off at 0 says nothing of the width
-        stretch = np.sqrt(np.maximum(d**2 * rr + r**2 * dd + 2 * d * r * dr, 0.0) / rr)
-        half = stretch * (r_intervals[:, 1] - r)
-    return np.maximum(np.stack([r * d - half, r * d + half], axis=1), 0.0)
 
 
 def _draw_modes(axis: Axes, tables: list[ModeTable], port: int, unit: float, look: Look) -> list[Any]:

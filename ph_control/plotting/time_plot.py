@@ -26,7 +26,7 @@ from ..numerics.rational import poles as poles_of
 from ..numerics.rational import state_space
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import ph
-from .inputs import Subject, is_damped, models_around, subjects_of, timebase, title_of
+from .inputs import Subject, is_fit, models_around, subjects_of, timebase, title_of
 from .style import BAND, DOTS, ZERO, LineStyle, Look, extremes, labelled, picture, plain
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def step_plot(
         Number of instants.
     data : control.TimeResponseData, optional
         Measured response to a unit step, one trace for each input, to draw as dots.
-    confidence : PEMResult or ModeSamples, or list of them, or True, optional
+    confidence : PEMResult or ModalSamples, or list of them, or True, optional
         Whose `step_band` to shade around the first system, or around each; True stands for the results of `pem` among
         the systems.  Such a result draws 300 models, always the same.
     level : float
@@ -411,8 +411,7 @@ def _stepped(subject: Subject, kind: str, given: Array | None, end: float, asked
 
 
 def _band(subject: Subject, modes: ModalForm | None, trace: Trace, models: Any, kind: str, level: float) -> TimeBand:
-    damped = is_damped(subject.given)
-    if not damped and (modes is None or (subject.lossless and subject.system._integrated)):
+    if not is_fit(subject.given) and (modes is None or (subject.lossless and subject.system._integrated)):
         raise StructureError(f"bands are those of port-Hamiltonian systems; {subject.system.name} is none")
     if not trace.resolved:
         raise StructureError(

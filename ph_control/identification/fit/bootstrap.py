@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,22 +11,28 @@ import numpy as np
 
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._threads import on_one_thread
-from ..._types import Array, ComplexArray, Mask, NDArray
+from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
 from ..data.experiments import as_channels
 from ..regression.free import FreeProjection, GivenResidues, refine_free
+from ..regression.free_prediction import FittedChannels
+from ..regression.frequency_rows import FreeResponse, Term
+from ..regression.prediction import state_of
 from ..regression.sections import PoleRegion
 from ..regression.time_rows import FreeRecord
+from ..search.free_search import Responses
 from ..search.modal_search import FreePath
-from ..structure.constrained import constrained
-from ..structure.layout import ChannelLayout
+from ..structure.constrained import StructuredFit, constrained
+from ..structure.layout import ChannelLayout, weights_of
 from ..uncertainty.draws import draws_from, tail_of
 from ..uncertainty.modal_draws import ModalSamples
 
 _EXACT = 1e-4  # of the noise variance: decrease of the sum of squares at which a refit takes its last step
 
-_Estimate = tuple[ComplexArray, ComplexArray, Array]  # poles, residues, feedthrough
+# poles, residues, feedthrough, and of each experiment motions and offsets
+_Estimate = tuple[ComplexArray, ComplexArray, Array, list[ComplexArray], list[Array]]
+_KEYS = ("natural_frequencies", "d", "damping_ratios", "real_poles", "residues", "feedthrough")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +47,12 @@ class Bootstrap(Frozen):
         At these poles.
     feedthrough : ndarray, shape (k, p, m)
         Responses at infinity.
+    r : ndarray, shape (k, n)
+        Weights of modes that have some, as `r` of the result; else (k, 0).
+    initial_state : ndarray, shape (k, 2n + r), of several experiments (k, E, 2n + r)
+        State at the first sample, of one input and one output in time; else (k, 0).
+    offset : ndarray, shape (k, E), of several outputs (k, E, p)
+        Constant added to each output in each experiment; 0 where none is estimated.
     failed : int
         Number of refits that did not converge, or ended with other kinds of poles.
 
@@ -52,13 +64,18 @@ class Bootstrap(Frozen):
     poles: ComplexArray
     residues: ComplexArray
     feedthrough: Array
+    r: Array
+    initial_state: Array
+    offset: Array
     failed: int
 
     def __len__(self) -> int:
         return len(self.poles) - self.failed
 
     def __repr__(self) -> str:
-        return f"Bootstrap({len(self.poles)} resamples of {self.poles.shape[1]} poles, {self.failed} failed)"
+        held = ", ".join(f"{100 * share:.0f}" for share in self.active_share)
+        weights = f"; weights held at 0 in {held} %" * bool(held)
+        return f"Bootstrap({len(self.poles)} resamples of {self.poles.shape[1]} poles, {self.failed} failed{weights})"
 
     @property
     def _kept(self) -> Mask:
@@ -74,6 +91,16 @@ class Bootstrap(Frozen):
         return np.abs(self.poles[:, : self._modes])
 
     @property
+    def d(self) -> Array:
+        """Natural frequencies: `natural_frequencies`."""
+        return self.natural_frequencies
+
+    @property
+    def active_share(self) -> Array:
+        """Share of the resamples in which each weight was held at 0 by the constraint `r >= 0`, shape of `r`'s rows."""
+        return np.asarray((self.r[self._kept] == 0).mean(axis=0)) if len(self) else np.full(self.r.shape[1], np.nan)
+
+    @property
     def damping_ratios(self) -> Array:
         """Damping ratios of the modes, shape (k, n)."""
         return -self.poles[:, : self._modes].real / self.natural_frequencies
@@ -86,7 +113,8 @@ class Bootstrap(Frozen):
     def _statistic(self, of: Callable[[Array], Array]) -> Mapping[str, Any]:
         """Statistic of each parameter by its name, along the resamples; of complex ones of both parts."""
         found = {}
-        for name in ("natural_frequencies", "damping_ratios", "real_poles", "residues", "feedthrough"):
+        more = [name for name in ("r", "initial_state") if getattr(self, name).size]
+        for name in (*_KEYS, "offset", *more):
             draws = getattr(self, name)[self._kept]
             found[name] = of(draws.real) + 1j * of(draws.imag) if np.iscomplexobj(draws) else of(draws)
         return ReadOnlyMapping(found)
@@ -211,11 +239,36 @@ class Resampled:
         refit = _Refit.of(self)
         seeds = np.random.SeedSequence(int(random.integers(2**63))).spawn(count)
         found = list(mapped(refit, seeds, workers, tuple))
-        nothing = tuple(
-            np.full(part.shape, np.nan, part.dtype) for part in (self.poles, self.residues, self.feedthrough)
-        )
-        poles, residues, through = (np.stack(parts) for parts in zip(*(one or nothing for one in found), strict=True))
-        return Bootstrap(poles, residues, through, failed=sum(not one for one in found))
+        nothing = [np.full(np.shape(part), np.nan, np.asarray(part).dtype) for part in _parts(self)]
+        each = [_parts(_drawn(self, *one)) if one else nothing for one in found]
+        poles, residues, through, r, states, offsets = (np.stack(one) for one in zip(*each, strict=True))
+        return Bootstrap(poles, residues, through, r, states, offsets, sum(not one for one in found))
+
+
+def _parts(result: Any) -> tuple[NDArray[Any], ...]:
+    """What a bootstrap has of each estimate."""
+    r = result.r if result._has_weights else np.zeros(0)
+    states = result.initial_states if result._moves_as_state else (np.zeros(0),)
+    state = states[0] if len(states) == 1 else np.array(states)
+    return result.poles, result.residues, result.feedthrough, r, state, result.offsets
+
+
+def _drawn(
+    result: Any, poles: ComplexArray, residues: ComplexArray, through: Array, motions: list[ComplexArray],
+    offsets: list[Array],
+) -> Any:  # fmt: skip
+    """The result with another estimate."""
+    lossless = result.structure == "lossless" and result._has_weights
+    r = weights_of(poles, residues[:, 0, 0], result.quantity) if lossless else None
+    experiments = []
+    for data, motion, offset in zip(result.experiments, motions, offsets, strict=True):
+        if isinstance(data, FittedChannels):
+            data = replace(data, free_amplitudes=motion[:, : data.free_amplitudes.shape[1]], offsets=offset)
+        elif len(data.initial_state):
+            state = state_of(poles, motion[:, 0], result.quantity, r)
+            data = replace(data, initial_state=state, free_amplitudes=motion[:, 0], offset=float(offset[0]))
+        experiments.append(data)
+    return replace(result, poles=poles, residues=residues, feedthrough=through, experiments=tuple(experiments))
 
 
 @dataclass(frozen=True)
@@ -230,15 +283,21 @@ class _Refit:
     structure: str
     predictions: list[NDArray[Any]]
     noise: list[NDArray[Any]]
+    places: list[int]  # of the experiments among those of the result
+    count: int  # of these
 
     @classmethod
     def of(cls, result: Any) -> _Refit:
         """Make it of a result."""
         channels: Any = as_channels([one.record for one in result.experiments])
-        moving = any(np.any(one.free_amplitudes) for one in result.experiments)
         terms = int(np.isfinite(result.stderr["offset"]).any())
         terms += any(np.any(getattr(one, "drifts", getattr(one, "drift", 0.0))) for one in result.experiments)
-        path = FreePath.of(channels, result.quantities, result.intersample, terms, moving, method=result.method)
+        path = FreePath.of(
+            channels, result.quantities, result.intersample, terms, result._moving, method=result.method,
+            delay=result.delay,
+        )  # fmt: skip
+        if isinstance(path.search, Responses):
+            path.search = replace(path.search, data=_on_background(path.search.data, result))
         path.weigh(path.counts * np.ravel(result.noise_variance))
         rows, per_entry = list(path.scaled.data), not isinstance(path.scaled.data[0], FreeRecord)
         p, m = result.feedthrough.shape
@@ -253,7 +312,13 @@ class _Refit:
         for one, predicted in zip(rows, predictions, strict=True):
             left = (_target(one) - predicted)[:, one.observed] * _weight(one)
             noise.append(factor * (left - left.mean(axis=1, keepdims=True)))
-        return cls(rows, result.poles, fed, layout, path.search.region, result.structure, predictions, noise)
+        ends = np.cumsum([int(one.observed.any(axis=-1).sum()) for one in channels])
+        starts = np.cumsum([0, *(len(one.outputs) for one in rows)])[:-1]
+        places = np.searchsorted(ends, starts, side="right").tolist()
+        return cls(
+            rows, result.poles, fed, layout, path.search.region, result.structure, predictions, noise, places,
+            len(channels),
+        )  # fmt: skip
 
     def __call__(self, seed: np.random.SeedSequence) -> _Estimate | tuple[()]:
         """Estimate from the noise of one seed; nothing where that is not reached."""
@@ -265,6 +330,10 @@ class _Refit:
             rows.append(
                 replace(one, y=output, scale=None) if isinstance(one, FreeRecord) else replace(one, response=output)
             )
+        return self.fitted(rows)
+
+    def fitted(self, rows: list[Any]) -> _Estimate | tuple[()]:
+        """Estimate from some rows, refined from that of the result."""
         samples = sum(one.samples for one in rows)
         try:
             at = refine_free(lambda _: rows, self.poles, self.region, _EXACT / samples, self.fed)
@@ -276,7 +345,36 @@ class _Refit:
         if not fit.converged or not np.array_equal(poles.imag == 0, self.poles.imag == 0):
             return ()
         residues = fit.residues[rank] * np.where(poles.imag == 0, 2.0, 1.0)[:, None, None]
-        return poles, residues, fit.feedthrough
+        motions, offsets = self._of_experiments(fit, rank)
+        return poles, residues, fit.feedthrough, motions, offsets
+
+    def _of_experiments(self, fit: StructuredFit, rank: Indices) -> tuple[list[ComplexArray], list[Array]]:
+        """Free motions (N, outputs) and constants of each experiment."""
+        at, count = fit.projection, len(self.layout.scales)
+        motions = [np.zeros((len(rank), count), complex) for _ in range(self.count)]
+        offsets = [np.zeros(count) for _ in range(self.count)]
+        for one, own, place in zip(at.experiments, at.own, self.places, strict=True):
+            if isinstance(one, FreeRecord):
+                scale = self.layout.scales[one.outputs]
+                motion = one.motion_at_start(at.p, at.residues[:, one.outputs], own)[rank]
+                motions[place][:, one.outputs] = 2 * scale * motion
+                offsets[place][one.outputs] = scale * one.offset_at_start(own)[0]
+        return motions, offsets
+
+
+def _on_background(rows: Sequence[FreeResponse], result: Any) -> list[FreeResponse]:
+    """Responses on the background of a result."""
+    parts = [one.background.coefficients.reshape(5, -1) for one in result.experiments if one.background]
+    through = result.feedthrough.ravel() != 0
+    found = []
+    for one in rows:
+        here = np.array([part[:, one.outputs] for part in parts]).reshape(-1, 5, len(one.outputs))
+        terms = [
+            Term(power - 2, turned) for power in range(5) for turned in (False, True)
+            if np.any(here[:, power].imag if turned else here[:, power].real)
+        ]  # fmt: skip
+        found.append(replace(one, terms=tuple(terms), through=one.through or bool(through[one.outputs].any())))
+    return found
 
 
 def _target(rows: Any) -> NDArray[Any]:

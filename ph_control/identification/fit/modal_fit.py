@@ -13,9 +13,8 @@ from ... import _checks
 from ..._display import counted, p_value
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..._units import common_unit
-from ...exceptions import IdentificationError, StructureError
+from ...exceptions import StructureError
 from ...modal.discretization import Hold
-from ...modal.modal_form import from_frequencies
 from ..data.channels import Recording, ResponseMatrix, refuse_still, single
 from ..data.frequency_record import FrequencyRecord
 from ..data.parts import Difference, Signal
@@ -36,7 +35,7 @@ from ..regression.prediction import (
     joint_percent,
     pieces,
     shares_left,
-    state_from_amplitudes,
+    state_of,
 )
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
@@ -47,10 +46,10 @@ from ..search.starting_poles import poles_of
 from ..structure.constrained import StructuredFit, constrained
 from ..structure.delayed import cost_of, with_delays
 from ..structure.hypothesis_tests import LEVEL, choose, given_structure, likelihood_test, structure_tests
-from ..structure.layout import POWERS, ChannelLayout
+from ..structure.layout import POWERS, ChannelLayout, residue_of_unit_weight, weights_of
 from ..uncertainty.fisher import PortRecord
 from ..uncertainty.residual_tests import ljung_box
-from .pem_result import PEMResult, residue_of_unit_weight, weights_of
+from .pem_result import PEMResult
 from .result import STRUCTURES, OrderRow, cut_short
 from .scaled_shapes import ModeShapes, shape_errors
 
@@ -147,7 +146,8 @@ def fit_channels(
 
     result = under_either_hold(free, request, findings, with_delay)
     if options.reachable and (shown := result.order - int(np.sum(result.kappa == 0))) < result.order:
-        return fit_channels(channels, request, options, 1j * result.d[result.kappa > 0], findings, max(1, shown))
+        reached = result.poles[result.kappa > 0]
+        return fit_channels(channels, request, replace(options, reachable=False), reached, findings, max(1, shown))
     return result
 
 
@@ -610,7 +610,9 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     hidden = np.concatenate(
         [np.zeros(2 * n), *(part.ravel() for part in (unknown[0][rank], unknown[1][rank], unknown[2]))]
     )
-    absent = (order < 0) | ((lost > 0) & (np.diag(found) == 0)) | (hidden > 0)
+    nothing = np.tile((fit.residues[rank] == 0).ravel(), 2)  # weights that are held at 0
+    held = np.concatenate([np.zeros(2 * n, bool), nothing, np.zeros(through.size, bool)])
+    absent = (order < 0) | ((lost > 0) & (np.diag(found) == 0)) | (hidden > 0) | held
     found[absent] = np.nan
     found[:, absent] = np.nan
     return found
@@ -811,12 +813,8 @@ def _squeezed(
         nothing = np.zeros(0), np.zeros(0, complex), 0.0
         return FittedExperiment(record, *nothing, data.predicted[0, 0], background=data.background)
     motion = data.free_amplitudes[:, 0]
-    if lossless:
-        r = weights_of(poles, residues[:, 0, 0], quantity)
-        state = state_from_amplitudes(from_frequencies(poles.imag, r), motion.conj(), quantity)
-    else:
-        kept = np.stack([poles == poles, poles.imag != 0], axis=1)
-        state = np.stack([motion.real, motion.imag], axis=1)[kept]
+    r = weights_of(poles, residues[:, 0, 0], quantity) if lossless else None
+    state = state_of(poles, motion, quantity, r)
     # among several experiments a free motion has an input of 0
     record = replace(record, time=record.clock, driven=bool(record.u.any()))
     return FittedExperiment(

@@ -12,8 +12,8 @@ from ...exceptions import StructureError
 from ...io.codecs import system_from_dict
 from ...io.json_format import Fields
 from ..diagnosis.verdict import Outcome
-from ..structure.layout import POWERS
-from .pem_result import PEMResult, residue_of_unit_weight
+from ..structure.layout import POWERS, residue_of_unit_weight
+from .pem_result import PEMResult
 
 _OUTCOMES = {
     "NOT described by a collocated lossless model": Outcome.NOT_DESCRIBED,

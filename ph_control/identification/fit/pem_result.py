@@ -35,7 +35,7 @@ from ..regression.free_prediction import (
 from ..regression.prediction import FittedExperiment, ResponseBackground, output_gain
 from ..search.circumstances import Finding
 from ..search.modal_search import orders_about
-from ..structure.layout import POWERS
+from ..structure.layout import POWERS, residue_of_unit_weight, weights_of
 from ..uncertainty.draws import draw
 from ..uncertainty.modal_draws import ModalSamples
 from ..uncertainty.state_coordinates import InCoordinates
@@ -200,7 +200,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         if self._has_weights:
             parts |= self._weight_errors()
         if self._moves_as_state:
-            states = [data.initial_stderr for data in self.experiments]
+            states = [data.initial_stderr for data in self.experiments if isinstance(data, FittedExperiment)]
             parts["initial_state"] = states[0] if len(states) == 1 else np.array(states)
         object.__setattr__(self, "stderr", ReadOnlyMapping(parts))
         super().__post_init__()
@@ -333,9 +333,9 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         """
         inputs = [i for _, i in self.ports]
         if self.structure == "lossless" and self._has_weights and inputs:
-            names = {"inputs": _checks.without_dots(self.input_labels),
-                     "outputs": _checks.without_dots(self.output_labels)}  # fmt: skip
-            return with_unit(PortHamiltonian._from_modes(self.modes, **names), self.time_unit)
+            known_as = {"inputs": _checks.without_dots(self.input_labels),
+                        "outputs": _checks.without_dots(self.output_labels)}  # fmt: skip
+            return with_unit(PortHamiltonian._from_modes(self.modes, **known_as), self.time_unit)
         if self.structure == "free" or sorted(inputs) != list(range(len(self.input_labels))) or not inputs:
             return self.observed_system
         ports = sorted(self.ports, key=lambda port: port[1])
@@ -534,10 +534,9 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
     def _orders_about(self, most: int) -> Orders:
         """Poles and shapes of models of one mode more each, this result among them."""
         records: Any = as_channels([one.record for one in self.experiments])
-        moving = any(bool(np.any(one.free_amplitudes)) for one in self.experiments)
         rows = orders_about(
             records, self.poles, most, quantities=self.quantities, intersample=self.intersample,
-            offset=bool(self.offsets.any()), moving=moving, method=self.method, delay=self.delay,
+            offset=bool(self.offsets.any()), moving=self._moving, method=self.method, delay=self.delay,
         )  # fmt: skip
         return [
             (self.poles[: self.order], self.shapes) if len(poles) == self.order
@@ -546,6 +545,12 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         ]  # fmt: skip
 
     # --- prediction ------------------------------------------------------------------------------------------------
+
+    @property
+    def _moving(self) -> bool:
+        """Whether records with inputs may start in motion, as others do."""
+        driven = [one for one in self.experiments if np.any(getattr(one.record, "u", 0.0))]
+        return any(bool(np.any(one.free_amplitudes)) for one in driven)
 
     @property
     def _moves_as_state(self) -> bool:
@@ -680,10 +685,10 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
 
     def _going_on(self, data: Any, record: Recording) -> Array:
         """Outputs where a record begins at the end of an experiment of the fit; a drift stays where it was."""
-        fitted = several(data.record)
+        fitted: Any = several(data.record)
         u = fitted.u if len(fitted.u) else np.zeros((len(record.u), fitted.samples))
         both = replace(record, u=np.concatenate([u, record.u], axis=1), y=np.concatenate([fitted.y, record.y], axis=1),
-                       time=record.dt * np.arange(fitted.samples + record.samples))  # fmt: skip
+                       time=record.dt * np.arange(float(fitted.samples + record.samples)))  # fmt: skip
         level, slope = (data.offsets, data.drifts) if isinstance(data, FittedChannels) else (data.offset, data.drift)
         background = np.reshape(level, (-1, 1)) + np.reshape(slope, (-1, 1)) * record.dt * fitted.samples
         return self._outputs_from(data.free_amplitudes, both)[:, fitted.samples :] + background
@@ -704,21 +709,6 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold, self.delay)
         motion = np.broadcast_to(motion.reshape(len(self.poles), -1), (len(self.poles), outputs))
         return forced + moved_freely(self.poles, motion, hold, record.samples, unknown_samples(self.delay, record.dt))
-
-
-def residue_of_unit_weight(d: Array, power: int, zeta: Any = 0.0) -> ComplexArray:
-    """Residues at the upper poles of modes with weight `r = 1`, differentiated `power` times from the displacement."""
-    turn = np.sqrt(1 - np.square(zeta))
-    if power == 1 and not np.any(zeta):
-        return np.asarray(0.5 * d, complex)
-    return np.asarray(d**power * (-zeta + 1j * turn) ** power / (2j * turn))
-
-
-def weights_of(poles: ComplexArray, residues: ComplexArray, quantity: str) -> Array:
-    """Weights `r` of lossless or classical modes with these residues of one input and one output, at least 0."""
-    d = np.abs(poles)
-    per_weight = residue_of_unit_weight(d, POWERS[quantity], -poles.real / d)
-    return np.maximum((residues / per_weight).real, 0.0)
 
 
 def _singular(poles: ComplexArray, residues: ComplexArray) -> tuple[ComplexArray, Array, ComplexArray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import control as ct
 import numpy as np
@@ -495,7 +495,7 @@ class FittedModes(Report, Frozen):
             raise StructureError(f"title is {_checks.shown(title)}; pass a text, or None")
         target = as_path(path)
         refuse_unwritable(target, overwrite)
-        page = page_of(self, title or "Identification report")
+        page = page_of(cast(Any, self), title or "Identification report")
         write_atomically(target, page, overwrite=overwrite)
 
 

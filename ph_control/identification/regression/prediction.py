@@ -13,7 +13,7 @@ from ..._display import Report
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, NDArray
 from ...exceptions import StructureError
-from ...modal.modal_form import ModalForm
+from ...modal.modal_form import ModalForm, from_frequencies
 from ..data.frequency_record import FrequencyRecord, InFrequency
 from ..data.parts import blocks
 from ..data.time_record import Record
@@ -268,6 +268,14 @@ def state_from_amplitudes(modes: ModalForm, amplitudes: ComplexArray, quantity: 
     gain = output_gain(modes, quantity)
     x = np.where(gain == 0, 0.0, amplitudes / np.where(gain == 0, 1.0, gain))
     return np.concatenate([x.real, x.imag])
+
+
+def state_of(poles: ComplexArray, motion: ComplexArray, quantity: str, r: Array | None = None) -> Array:
+    """State (2n + r,) of free motions at the output; of lossless modes with weights `r` in Williamson coordinates."""
+    if r is not None:
+        return state_from_amplitudes(from_frequencies(poles.imag, r), motion.conj(), quantity)
+    kept = np.stack([poles == poles, poles.imag != 0], axis=1)
+    return np.stack([motion.real, motion.imag], axis=1)[kept]
 
 
 def output_gain(modes: ModalForm, quantity: str) -> ComplexArray:

@@ -33,6 +33,7 @@ STRUCTURES = {
 }  # fmt: skip
 _EXACT = 1e-10  # relative decrease of the loss at which a refinement ends
 _WELL_CONDITIONED = 1e10  # entries of the inverse of a Gram matrix of unit columns
+_WEAK = 0.01  # standard errors: a weight so small may be 0
 _ITERATIONS = 60  # before it follows secants
 _FEW = 12  # in the tangent of a free fit, where three are usual
 
@@ -320,7 +321,7 @@ def constrained(
         tangent = replace(problem, tangent=Tangent(at))
         x = refine(tangent, x, rtol=TUNING.rough, max_iterations=max(most, _FEW), last=False).projection.x
     found = refine(problem, x, rtol=_EXACT, max_iterations=most, last=last)
-    end = found.projection
+    end = _at_bound(problem, found.projection) if found.converged else found.projection
     known = end.x[: coordinates.size]
     shapes, participation = coordinates.shapes(known) if isinstance(coordinates, ShapeCoordinates) else (None, None)
     return StructuredFit(
@@ -328,6 +329,22 @@ def constrained(
         coordinates.dof + (0 if delays is None else delays.count), variance, cast(GivenResidues, end.data),
         found.converged, end, end.delays,
     )  # fmt: skip
+
+
+def _at_bound(problem: ConstrainedProblem, at: ConstrainedProjection) -> ConstrainedProjection:
+    """The same with weights of a single port exactly 0 that come so near in steps: coordinates are roots of them."""
+    of = problem.coordinates
+    if not isinstance(of, ShapeCoordinates) or not of.is_port_alone:
+        return at
+    first, roots = len(of.kept), of.residue_values(at.x)[:, 0]
+    effects = np.diag(at.gram)[first:][: len(roots)] * roots**2
+    for k in np.flatnonzero((roots != 0) & (effects < _WEAK**2 * at.loss / problem.samples)).tolist():
+        x = at.x.copy()
+        x[first + k] = 0.0
+        without = problem.project(x)
+        if without.loss <= at.loss * (1 + _EXACT):
+            at = without
+    return at
 
 
 def nearest_passive_fit(

@@ -275,6 +275,11 @@ class ShapeCoordinates(StructureCoordinates):
         """Number of values of residues in each mode."""
         return int(max(one.max(initial=-1) for one in self._places)) + 1
 
+    @property
+    def is_port_alone(self) -> bool:
+        """Whether each mode has a single number, the root of its weight."""
+        return self.real and self.values == 1
+
     @cached_property
     def _gauges(self) -> list[Indices]:
         """Numbers that may be scaled against one another without any effect: one set for each such scale.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -63,3 +64,18 @@ class ChannelLayout:
         through = feedthrough.reshape(k, -1).T[:, None][:, : int(has_feedthrough)]
         joined = np.concatenate([each.real, each.imag, through], axis=1)
         return np.asarray(joined.reshape(-1, k) / self.scales)
+
+
+def residue_of_unit_weight(d: Array, power: int, zeta: Any = 0.0) -> ComplexArray:
+    """Residues at the upper poles of modes with weight `r = 1`, differentiated `power` times from the displacement."""
+    turn = np.sqrt(1 - np.square(zeta))
+    if power == 1 and not np.any(zeta):
+        return np.asarray(0.5 * d, complex)
+    return np.asarray(d**power * (-zeta + 1j * turn) ** power / (2j * turn))
+
+
+def weights_of(poles: ComplexArray, residues: ComplexArray, quantity: str) -> Array:
+    """Weights `r` of lossless or classical modes with these residues of one input and one output, at least 0."""
+    d = np.abs(poles)
+    per_weight = residue_of_unit_weight(d, POWERS[quantity], -poles.real / d)
+    return np.maximum((residues / per_weight).real, 0.0)

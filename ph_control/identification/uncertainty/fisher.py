@@ -259,7 +259,7 @@ class PortRecord:
         return self.hold.largest_phase(len(self.u)) * (1 - 1e-9)
 
     def sensitivities(self, d: Array, kappa: Array, amplitudes: ComplexArray) -> Array:
-        """Derivatives of the output, (T, 4n), by `(d, kappa)` and real and imaginary part of a motion `Re(a exp(-i d t))`.
+        """Derivatives of the output, (T, 4n), by `(d, kappa)` and both parts of a motion `Re(a exp(-i d t))`.
 
         From the columns of modes with any residues, and their derivatives by the poles.
         """

@@ -1,4 +1,4 @@
-"""Damped models drawn from the distribution of an estimate, and the bands of their responses."""
+"""Models drawn from the distribution of an estimate, and the bands of their responses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ... import _checks
-from ..._types import Array, ArrayLike, ComplexArray, NDArray
+from ..._types import Array, ArrayLike, ComplexArray, Mask, NDArray
 from ...exceptions import StructureError
 from ..regression.prediction import ResponseBackground
 from .draws import Draws
@@ -48,11 +48,11 @@ class ModalSamples(Draws):
     delay: Array = field(default_factory=lambda: np.zeros(1))
 
     def __post_init__(self) -> None:
-        for name in ("poles", "residues", "shapes"):
-            object.__setattr__(self, name, np.array(getattr(self, name), complex))
-        object.__setattr__(self, "feedthrough", np.array(self.feedthrough, float))
+        for name, ndim in (("poles", 2), ("residues", 4), ("shapes", 3)):
+            object.__setattr__(self, name, _complex_array(name, getattr(self, name), ndim))
+        object.__setattr__(self, "feedthrough", _checks.real_array("feedthrough", self.feedthrough, 3))
         k, n, p, m = self.residues.shape
-        modes = int(np.sum(self.poles[:1].imag != 0))
+        modes = int(np.sum(self.poles[0].imag != 0)) if k and self.poles.size else self.shapes.shape[1]
         found = self.poles.shape, self.feedthrough.shape, self.shapes.shape
         if found != ((k, n), (k, p, m), (k, modes, p)):
             raise StructureError(
@@ -65,6 +65,11 @@ class ModalSamples(Draws):
     def natural_frequencies(self) -> Array:
         """Natural frequencies `|p|` of the modes, shape (k, n), rad per unit time."""
         return np.abs(self.poles[:, : self.shapes.shape[1]])
+
+    @property
+    def d(self) -> Array:
+        """Natural frequencies: `natural_frequencies`."""
+        return self.natural_frequencies
 
     @property
     def damping_ratios(self) -> Array:
@@ -84,7 +89,7 @@ class ModalSamples(Draws):
         Returns
         -------
         ndarray of complex, shape (k, K)
-            One draw a row.
+            One draw a row; infinite at a pole.
 
         Raises
         ------
@@ -98,7 +103,10 @@ class ModalSamples(Draws):
         >>> one.freqresp([0.0]).round(3)
         array([[0.099+0.j]])
         """
-        tables = self._tables("omega", omega, self._response(output, input))
+        response, is_pole = self._response(output, input), self._is_pole(output, input)
+        tables = self._tables(
+            "omega", omega, lambda w, p: np.where(is_pole(w, p), complex(np.inf, 0.0), response(w, p))
+        )
         return np.concatenate([np.empty((0, len(self)), complex), *tables]).T
 
     def magnitude_band(self, omega: ArrayLike, level: float = 0.95, output: int = 0, input: int = 0) -> Array:
@@ -124,6 +132,12 @@ class ModalSamples(Draws):
             If `omega` is no vector of finite numbers, the level is not between 0 and 1, there is no such output or
             input, or there are no draws.
 
+        Notes
+        -----
+        Where draws have a pole without losses on both sides of a frequency, the upper end is large but finite: the gain
+        at the distance from a pole that only `(1 - level)/2` of them fall below.  It is infinite where so many have a
+        pole at that very frequency.
+
         Examples
         --------
         >>> from ph_control import ModalSamples
@@ -132,7 +146,9 @@ class ModalSamples(Draws):
         array([[5.27],
                [5.77]])
         """
-        return self._percentiles(map(np.abs, self._tables("omega", omega, self._response(output, input))), level)
+        response, is_pole = self._response(output, input), self._is_pole(output, input)
+        gains = self._tables("omega", omega, lambda w, p: np.where(is_pole(w, p), np.inf, np.abs(response(w, p))))
+        return self._percentiles(gains, level)
 
     def phase_band(self, omega: ArrayLike, level: float = 0.95, output: int = 0, input: int = 0) -> Array:
         """Band of the phase from an input to an output, in degrees, about the direction of the mean.
@@ -199,8 +215,9 @@ class ModalSamples(Draws):
         residues, through = self._entry(output, input)
 
         def step(t: Array, p: ComplexArray) -> Array:
-            weights = np.where(p.imag == 0, 1, 2) * residues
-            moved = np.sum((weights / p * np.expm1(p * np.maximum(t, 0.0))).real, axis=-1)
+            weights, after = np.where(p.imag == 0, 1, 2) * residues, np.maximum(t, 0.0)
+            each = np.where(p == 0, after, np.expm1(p * after) / np.where(p == 0, 1.0, p))
+            moved = np.sum((weights * each).real, axis=-1)
             return np.where(t[..., 0] < 0, 0.0, moved + through)
 
         return self._percentiles(self._tables("time", time, step), level)
@@ -247,11 +264,19 @@ class ModalSamples(Draws):
                 raise StructureError(f"{name} is {value}; these models have {count}, counted from 0")
         return self.residues[:, :, output, input], self.feedthrough[:, output, input]
 
+    def _is_pole(self, output: int, input: int) -> Callable[[Array, ComplexArray], Mask]:
+        """Whether draws have a pole at frequencies, of a residue that is not 0."""
+        shown = self._entry(output, input)[0] != 0
+        return lambda w, p: np.any(((1j * w == p) | (1j * w == p.conj())) & shown, axis=-1)
+
     def _response(self, output: int, input: int) -> Callable[[Array, ComplexArray], ComplexArray]:
+        """Response of every draw at frequencies; at a pole that just above."""
         residues, through = self._entry(output, input)
 
         def response(w: Array, p: ComplexArray) -> ComplexArray:
-            terms = residues / (1j * w - p) + (p.imag != 0) * residues.conj() / (1j * w - p.conj())
+            least = 1j * np.maximum(_checks.EPS * np.abs(p), np.finfo(float).tiny)
+            ahead, behind = (np.where(gap == 0, least, gap) for gap in (1j * w - p, 1j * w - p.conj()))
+            terms = residues / ahead + (p.imag != 0) * residues.conj() / behind
             found = terms.sum(axis=-1) + through
             if self.background is not None:
                 found = found + self.background.entry(output, input).response(w.ravel())[0, 0][:, None]
@@ -264,3 +289,15 @@ class ModalSamples(Draws):
     ) -> Iterator[NDArray[Any]]:
         """Values at points (K, k), a block of points at a time."""
         return (values(at[:, None, None], self.poles) for at in self._blocks(name, points, self.poles.size))
+
+
+def _complex_array(name: str, value: Any, ndim: int) -> ComplexArray:
+    """Check finite complex numbers of so many dimensions."""
+    try:
+        found = np.array(value, complex)
+    except (TypeError, ValueError, OverflowError):
+        raise StructureError(f"{name} does not hold complex numbers: {_checks.shown(value)}; pass an array") from None
+    if found.ndim != ndim:
+        raise StructureError(f"{name} has {found.ndim} dimensions (shape {found.shape}), expected {ndim}")
+    _checks.finite(name, found)
+    return found
