@@ -48,11 +48,6 @@ class FittedChannels(FittedData):
         object.__setattr__(self, "offset_stderr", np.array(errors, float))
         super().__post_init__()
 
-    def __post_init__(self) -> None:
-        if not len(self.offset_stderr):
-            object.__setattr__(self, "offset_stderr", np.full(len(self.offsets), np.nan))
-        super().__post_init__()
-
     def __str__(self) -> str:
         """Say how much there is of it, and how well it is fitted."""
         return f"{self.record.samples} samples of {len(self.predicted)} outputs, fit {self.fit_percent:.2f} %"
