@@ -816,7 +816,7 @@ def small_fit():
     u, noise = rng.standard_normal((2, 120))
     plant = phc.ph(phc.modes([1.0], [1.0]))
     y = phc.forced_response(plant, 0.1 * np.arange(120), u, intersample="zoh").outputs + 0.01 * noise
-    return phc.pem((u, y), 1, dt=0.1)
+    return phc.pem((u, y), 1, dt=0.1, offset=False)
 
 
 def test_an_object_of_a_kind_that_has_no_document_is_refused(path):
@@ -825,16 +825,19 @@ def test_an_object_of_a_kind_that_has_no_document_is_refused(path):
 
 
 def test_missing_and_infinite_numbers_of_a_fit_come_back(path):
-    covariance = np.full((4, 4), -0.0)
+    covariance = np.full((5, 5), -0.0)
     covariance[0, :3], covariance[1, 1] = [np.nan, np.inf, -np.inf], 1e-300
+    covariance[:3, 0] = covariance[0, :3]
     fit = dataclasses.replace(small_fit(), covariance=covariance)
     save(fit, path)
     restored = load(path)
-    assert_same_system(fit.system, restored.system)
+    assert_same_modes(fit.modes, restored.modes)
     assert_same_bits(covariance, restored.covariance)
     assert_same_bits(fit.experiments[0].free_amplitudes, restored.experiments[0].free_amplitudes)
-    assert (restored.loss, restored.n_iterations, restored.success) == (fit.loss, fit.n_iterations, fit.success)
-    assert restored.identifiability.names == fit.identifiability.names
+    assert_same_bits(fit.experiments[0].initial_stderr, restored.experiments[0].initial_stderr)
+    assert np.isnan(restored.experiments[0].offset_stderr) and np.isnan(fit.experiments[0].offset_stderr)
+    assert (restored.loss, restored.unknowns, restored.success) == (fit.loss, fit.unknowns, fit.success)
+    assert (restored.tests, restored.findings, restored.delay_stderr) == (fit.tests, fit.findings, fit.delay_stderr)
     for token in ("NaN", "Infinity"):
         assert token not in path.read_text()
 
@@ -843,17 +846,17 @@ def test_missing_and_infinite_numbers_of_a_fit_come_back(path):
     ("place", "value", "expected"),
     [
         (["success"], 1, "data: success is 1, expected true or false"),
-        (["n_iterations"], 1.5, "data: n_iterations is 1.5, expected an integer"),
+        (["unknowns"], 1.5, "data: unknowns is 1.5, expected an integer"),
         (["loss"], "infinite", 'data: loss is "infinite", expected a number'),
         (["loss"], [1.0], "data: loss has shape (1,), expected ()"),
-        (["identifiability", "names"], ["a", 2], "data: identifiability: names is a list with 2 entries, expected "),
-        (["identifiability", "lengths"], [1.0], "data: identifiability: lengths has shape (1,), expected (4)"),
+        (["quantities"], ["a", 2], "data: quantities is a list with 2 entries, expected "),
+        (["order_table", "loss"], [], "data: order_table: loss has shape (0,), expected (2)"),
         (["experiments", "1", "free_amplitudes", 0], [1.0], "data: experiments: 1: free_amplitudes has shape (1, 1)"),
         (["experiments", "1", "free_amplitudes", 0], ["no", 1.0], 'data: experiments: 1: free_amplitudes is "no"'),
-        (["covariance", 1], [1.0], "data: covariance has shape (4,), expected (4, 4)"),
-        (["system", "name"], 5, "data: system: name is 5, expected a string"),
-        (["system", "shape"], 5, "data: system: unknown field 'shape'"),
-        (["system", "modes", "shape"], 5, "data: system: modes: unknown field 'shape'"),
+        (["covariance"], [1.0], "data: covariance has shape (1,), expected (15)"),
+        (["experiments", "1", "record", "title"], 5, "data: experiments: 1: record: title is 5, expected a string"),
+        (["experiments", "1", "record", "shape"], 5, "data: experiments: 1: record: unknown field 'shape'"),
+        (["experiments", "1", "shape"], 5, "data: experiments: 1: unknown field 'shape'"),
     ],
 )
 def test_fields_of_every_sort_are_checked(path, message, place, value, expected):
@@ -861,6 +864,28 @@ def test_fields_of_every_sort_are_checked(path, message, place, value, expected)
     document = json.loads(path.read_text())
     del document["sha256"]
     assert message(json.dumps(spoil(document, ["data", *place], value))).startswith(expected)
+
+
+def test_a_lossless_fit_of_version_0_2_is_read(path):
+    """It was of another class, with the covariance of frequencies, weights and states."""
+    older = Path(__file__).with_name("older_fit.json")
+    told, result = json.loads(older.read_text())["data"], load(older)
+    assert isinstance(result, phc.PEMResult) and result.structure == "lossless"
+    assert result.d.tolist() == told["system"]["modes"]["d"]
+    assert np.allclose(result.r, told["system"]["modes"]["r"], rtol=1e-14)
+    assert result.initial_state.tolist() == told["experiments"]["1"]["initial_state"]
+    errors = np.sqrt(np.diag(told["covariance"]))
+    names = ["d", "r", "initial_state", "offset"]
+    assert np.allclose(np.concatenate([result.stderr[name] for name in names]), [*errors, *told["offset_stderr"]])
+    # the motion has the sign of today
+    record = result.record
+    again = result.predict((record.u, None), initial_state="fitted")
+    assert np.allclose(again.outputs, told["experiments"]["1"]["predicted"], rtol=0, atol=1e-12)
+    fit = phc.pem(record, 2, offset=True, structure="lossless", intersample="zoh")
+    assert np.allclose(fit.d, result.d, rtol=1e-7) and np.isclose(fit.bic, result.bic)
+    assert fit.unknowns == result.unknowns and np.allclose(fit.initial_state, result.initial_state, rtol=1e-6)
+    save(result, path)
+    assert_same_bits(load(path).covariance, result.covariance)
 
 
 @pytest.mark.parametrize("mode", ["r", "rb"])

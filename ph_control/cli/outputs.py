@@ -17,7 +17,7 @@ from .outcome import DONE, emit
 
 _FIT = (
     "verdict", "message", "order", "structure", "fit_percent", "time_unit", "loss", "loglik", "aic", "bic", "whiteness",
-    "success", "intersample", "method", "quantity", "blind", "natural_frequencies", "damping_ratios", "real_poles",
+    "success", "intersample", "method", "quantity", "blind", "d", "natural_frequencies", "damping_ratios", "real_poles",
 )  # fmt: skip
 _MODAL = (
     "poles", "residues", "feedthrough", "shapes", "participation", "shapes_scaled", "phase_collinearity",
@@ -62,6 +62,7 @@ def fit_of(result: Any) -> dict[str, Any]:
             {**_fields(one, "values", "gain", "output", "experiment"), "cause": one.cause.value}
             for one in result.findings
         ],
+        "frequency": result.d / (2 * math.pi),
         "hertz": None if result.time_unit is None else result.hertz,
         "stderr": dict(result.stderr),
         "tests": [dict(vars(one)) for one in result.tests],

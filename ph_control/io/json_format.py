@@ -244,6 +244,10 @@ class Fields:
         self.children.append(child)
         return child
 
+    def skip(self, *keys: str) -> None:
+        """Pass over fields that nothing is made of any more."""
+        self.seen.update(keys)
+
     def done(self) -> None:
         """Refuse fields that nobody asked for, here and in the objects taken from here."""
         self.refuse_unknown()

@@ -19,11 +19,15 @@ _OUTCOMES = {
     "NOT described by a collocated lossless model": Outcome.NOT_DESCRIBED,
     "NOT a model: it does not respond to the input": Outcome.NOT_DESCRIBED,
 }
+_NOT_KEPT = (
+    "active", "identifiability", "rank_deficiency", "starts", "n_iterations", "representation", "noise", "damped",
+)  # fmt: skip
 
 
-def lossless_from_dict(fields: Fields, experiments: Callable[..., Any], order_table: Callable[..., Any]) -> PEMResult:
-    """Read a lossless result; `experiments` and `order_table` read these parts."""
+def lossless_parts(fields: Fields, experiments: Callable[..., Any]) -> dict[str, Any]:
+    """Read what a lossless result has in another form; `experiments` reads the data."""
     system = system_from_dict(fields.nested("system"))
+    fields.skip(*_NOT_KEPT)
     seen = np.setdiff1d(np.arange(system.n), fields.array("unseen", (None,)).astype(int))
     d, r, quantity = system.d[seen], system.r[seen], fields.text("quantity")
     if quantity not in POWERS:
@@ -34,7 +38,8 @@ def lossless_from_dict(fields: Fields, experiments: Callable[..., Any], order_ta
     residues = (per_weight * r).reshape(n, 1, 1)[:, :, : int(driven)]
     places = np.concatenate([seen, system.n + seen])
     known = 2 * system.n + sum(len(one.initial_state) for one in data)
-    inner = fields.array("covariance", (known, known), finite=False)[np.ix_(places, places)]
+    every = fields.array("covariance", (known, known), finite=False)
+    inner = every[np.ix_(places, places)]
     J, l = np.zeros((4 * n + 1, 2 * n)), np.arange(n)
     J[l, l] = 1.0
     for row, part in ((2 * n, per_weight.real), (3 * n, per_weight.imag)):
@@ -43,33 +48,42 @@ def lossless_from_dict(fields: Fields, experiments: Callable[..., Any], order_ta
         J[-1] = np.concatenate([r, d])
     missing = np.isnan(np.diag(inner))
     covariance = J @ np.where(missing[:, None] | missing, 0.0, inner) @ J.T
+    covariance = 0.5 * (covariance + covariance.T)  # but for rounding
     lost = np.concatenate([missing[:n], np.zeros(n, bool), missing[n:], missing[n:], [power == 2 and missing.any()]])
     covariance[lost] = covariance[:, lost] = np.nan
     kept = np.arange(len(covariance)) if driven else np.arange(2 * n)
-    through = np.array([[float((r * d).sum()) if power == 2 else 0.0]])[:, : int(driven)]
-    verdict = fields.text("verdict")
-    outcome = _OUTCOMES.get(verdict) or next((one for one in Outcome if one.value == verdict), Outcome.DOUBTFUL)
+    noise, verdict = fields.number("noise_variance"), fields.text("verdict")
     in_frequency = np.iscomplexobj(data[0].predicted)
+    states = np.split(np.sqrt(np.diag(every))[2 * system.n :], len(data))  # of responses none
+    offsets = fields.array("offset_stderr", (len(data),), finite=False)
+    errors = zip(states, offsets.tolist(), strict=True)
     root = np.sqrt(r * d)
-    return PEMResult(
-        structure="lossless", poles=1j * d, residues=residues, feedthrough=through,
-        covariance=covariance[np.ix_(kept, kept)], shapes=(root if driven else np.ones(n))[:, None].astype(complex),
-        participation=(residues[:, 0] / np.where(root > 0, root, 1.0)[:, None]), shapes_scaled=driven,
-        shape_stderr=np.full((n, 1), np.nan + 0j), ports=((0, 0),) * driven, quantities=(quantity,),
-        noise_variance=np.full((1, 1) if in_frequency else (1,), fields.number("noise_variance")),
-        experiments=tuple(_without(one, seen) for one in data), loss=fields.number("loss"),
-        loglik=fields.number("loglik"), aic=fields.number("aic"), bic=fields.number("bic"),
-        fit_percent=fields.number("fit_percent"), unknowns=int(np.isfinite(np.diag(inner)).sum()) + 1,
-        whiteness=fields.number("whiteness"), order_table=order_table(fields), tests=(), findings=(),
-        success=fields.flag("success"), outcome=outcome, message=fields.text("message"),
-        intersample=fields.text("intersample"), method=fields.text("method"),
-    )  # fmt: skip
+    return {
+        "structure": "lossless",
+        "poles": 1j * d,
+        "residues": residues,
+        "feedthrough": np.array([[float((r * d).sum()) if power == 2 else 0.0]])[:, : int(driven)],
+        "covariance": covariance[np.ix_(kept, kept)],
+        "shapes": (root if driven else np.ones(n))[:, None].astype(complex),
+        "participation": residues[:, 0] / np.where(root > 0, root, 1.0)[:, None],
+        "shape_stderr": np.full((n, 1), np.nan + 0j),
+        "shapes_scaled": driven,
+        "ports": ((0, 0),) * driven,
+        "quantities": (quantity,),
+        "noise_variance": np.full((1, 1) if in_frequency else (1,), noise),
+        "experiments": tuple(_without(one, seen, *error) for one, error in zip(data, errors, strict=True)),
+        "unknowns": int(np.isfinite(np.append(np.diag(every), offsets)).sum()),
+        "outcome": _OUTCOMES.get(verdict) or next((one for one in Outcome if one.value == verdict), Outcome.DOUBTFUL),
+    }
 
 
-def _without(data: Any, seen: Any) -> Any:
-    """Keep the motions of the modes that the data show, with the sign of the upper poles."""
+def _without(data: Any, seen: Any, initial_stderr: Any, offset_stderr: float) -> Any:
+    """Keep the motions of the modes that the data show, with the sign of the upper poles, and their errors."""
+    data = replace(data, offset_stderr=offset_stderr)
     if not len(data.initial_state):
         return data
-    n = len(data.initial_state) // 2
-    state = data.initial_state[np.concatenate([seen, n + seen])]
-    return replace(data, initial_state=state, free_amplitudes=data.free_amplitudes[seen].conj())
+    both = np.concatenate([seen, len(data.initial_state) // 2 + seen])
+    return replace(
+        data, initial_state=data.initial_state[both], initial_stderr=initial_stderr[both],
+        free_amplitudes=data.free_amplitudes[seen].conj(),
+    )  # fmt: skip

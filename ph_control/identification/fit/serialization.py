@@ -23,7 +23,7 @@ from ..data.time_record import InTime, Record
 from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import QUANTITIES
 from ..regression.prediction import FittedExperiment, ResponseBackground
-from .older_files import lossless_from_dict
+from .older_files import lossless_parts
 from .pem_result import PEMResult
 from .result import STRUCTURES, OrderRow
 
@@ -34,7 +34,7 @@ _WORDS = {
 }  # fmt: skip
 # older files do not have them, or they are left out where there is nothing to say
 _MAY_LACK = {
-    "drift", "outliers", "output", "experiment", "findings", "tests", "time_unit", "title", "method", "blind",
+    "drift", "output", "experiment", "findings", "tests", "time_unit", "title", "method", "blind",
     "initial_stderr", "offset_stderr", "delay", "delay_stderr", "background",
 }  # fmt: skip
 _MAY_BE_NAN = {
@@ -87,13 +87,13 @@ def _all_of(fields: Fields) -> list[Fields]:
     return found
 
 
-def _read(kind: Any, fields: Fields, shapes: Shapes | None = None, **known: Any) -> Any:
+def _read(kind: Any, fields: Fields, lengths: Shapes | None = None, /, **known: Any) -> Any:
     """An object of some kind, with what is known of it already."""
     hints = get_type_hints(kind)
     for one in fields_of(kind):
         key = _KEYS.get(one.name, one.name)
         if one.init and one.name not in known and (key in fields or one.name not in _MAY_LACK):
-            known[one.name] = _value(fields, key, one.name, hints[one.name], (shapes or {}).get(one.name, (None,)))
+            known[one.name] = _value(fields, key, one.name, hints[one.name], (lengths or {}).get(one.name, (None,)))
     return kind(**known)
 
 
@@ -194,7 +194,7 @@ def _experiment(fields: Fields, n: int, states: int, record: Any) -> Any:
     if not single:
         p = len(record.output_labels)
         shapes = {"free_amplitudes": (n, p * in_time), "offsets": (p,), "drifts": (p,)}
-    shapes = {**shapes, "outliers": (record.samples,)}
+    fields.skip("outliers")  # of older files, which now tell them by findings
     known = {"record": record, "predicted": predicted}
     if "background" in fields:
         size = (5, 1, 1) if single else (5, *record.measured.shape[:2])
@@ -217,7 +217,7 @@ def _modal_from_dict(fields: Fields, records: Sequence[Any] = ()) -> Any:
     poles = fields.complex_array("poles", (None,))
     n, modes = len(poles), int(np.sum(poles.imag != 0))
     experiments = _experiments(fields, n, records, n + modes)
-    outputs, inputs = fields.complex_array("residues", (n, None, None)).shape[1:]
+    outputs, inputs = len(experiments[0].record.output_labels), len(experiments[0].record.input_labels)
     size = 2 * n + (2 * n + 1) * outputs * inputs
     ports = fields.nested("ports")
     per_entry = isinstance(experiments[0].record, ResponseMatrix | FrequencyRecord)
@@ -238,7 +238,9 @@ def _modal_from_dict(fields: Fields, records: Sequence[Any] = ()) -> Any:
 
 
 def _from_dict(fields: Fields) -> Any:
-    return _modal_from_dict(fields) if "poles" in fields else lossless_from_dict(fields, _experiments, _order_table)
+    if "poles" in fields:
+        return _modal_from_dict(fields)
+    return _read(PEMResult, fields, order_table=_order_table(fields), **lossless_parts(fields, _experiments))
 
 
 CODECS = {
