@@ -13,7 +13,6 @@ from ...io.codecs import system_from_dict
 from ...io.json_format import Fields
 from ..diagnosis.verdict import Outcome
 from ..structure.layout import POWERS, residue_of_unit_weight
-from .pem_result import PEMResult
 
 _OUTCOMES = {
     "NOT described by a collocated lossless model": Outcome.NOT_DESCRIBED,
@@ -72,7 +71,7 @@ def lossless_parts(fields: Fields, experiments: Callable[..., Any]) -> dict[str,
         "quantities": (quantity,),
         "noise_variance": np.full((1, 1) if in_frequency else (1,), noise),
         "experiments": tuple(_without(one, seen, *error) for one, error in zip(data, errors, strict=True)),
-        "unknowns": int(np.isfinite(np.append(np.diag(every), offsets)).sum()),
+        "unknowns": int(np.isfinite(np.append(np.diag(every), offsets)).sum()) + 1,
         "outcome": _OUTCOMES.get(verdict) or next((one for one in Outcome if one.value == verdict), Outcome.DOUBTFUL),
     }
 
