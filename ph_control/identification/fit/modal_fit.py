@@ -141,6 +141,8 @@ def fit_channels(
             resting = False
             free = search(order, start=start, moving=True)
 
+    free = replace(free, findings=(*free.findings, *_about_order(free, order, options)))
+
     def with_delay(delay: Array) -> FreeFit:
         return search(order, start=start, moving=options.moving and not resting, delay=delay)
 
@@ -149,6 +151,15 @@ def fit_channels(
         reached = result.poles[result.kappa > 0]
         return fit_channels(channels, request, replace(options, reachable=False), reached, findings, max(1, shown))
     return result
+
+
+def _about_order(free: FreeFit, order: int | str, options: Options) -> list[Finding]:
+    """Say where a search ended at its largest order, or was given a larger one than the data show."""
+    if isinstance(order, str):
+        ended = free.order >= options.max_order and not (free.rounding or free.interrupted)
+        return [Finding(Cause.LARGEST_ORDER, (float(free.order),), 0.0)] * ended
+    fewer = free.order < order and free.rounding
+    return [Finding(Cause.FEWER_MODES, (float(order), float(free.order)), 0.0)] * fewer
 
 
 def checked_delay(value: Any, outputs: int) -> Array | None:
@@ -396,7 +407,7 @@ def _structure_of(free: FreeFit, request: Request) -> tuple[StructuredFit, tuple
     layout, given = _layout(free, request), request.structure
     if not free.states:
         return _without_modes(free), ()
-    if given == "free" or free.interrupted or free.projection.deficiency:
+    if given == "free" or free.interrupted:
         given = "free" if given == "auto" else given
         return constrained(free.projection, layout, given, free.region, 1 if free.interrupted else None), ()
     if given == "auto":
@@ -527,7 +538,7 @@ def _judged(
             for data, error in zip(experiments, errors_of_states, strict=True)
         )
     far = any(one.cause is Cause.OUTLIERS for one in findings)
-    blind = bool(free.projection.deficiency)
+    blind = bool(fit.point.deficiency)
     refused = any(test.p < LEVEL for test in tests if test.hypothesis == request.structure)
     outcome = _outcome(free, fitted, whiteness, spare, far or blind, refused)
     return PEMResult(
@@ -605,8 +616,8 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     if not inner.size:
         return np.full((len(order), len(order)), np.nan)
     found = inner[np.ix_(order, order)] * np.outer(size, size)
-    # a structure may tell of residues that no experiment shows
-    unknown = split(free.projection.blind.astype(float))
+    # a structure may tell of residues that free ones do not show
+    unknown = split(free.projection.blind.astype(float) * bool(fit.point.deficiency))
     hidden = np.concatenate(
         [np.zeros(2 * n), *(part.ravel() for part in (unknown[0][rank], unknown[1][rank], unknown[2]))]
     )
@@ -656,7 +667,6 @@ def _experiments(
     n, found = len(at.p), []
     predictions = at.predictions() if n or free.per_entry else [None] * len(at.experiments)
     rows = iter(zip(at.experiments, at.own, predictions, range(len(predictions)), strict=True))
-    covariance = fit.covariance if free.per_entry else np.zeros((0, 0))
     for one in free.channels:
         p, m, outputs = len(one.output_labels), len(one.input_labels), len(free.scales)
         in_time = isinstance(one, Recording)
@@ -673,7 +683,7 @@ def _experiments(
             scale = free.scales[which]
             left -= len(which)
             if isinstance(part, FreeResponse):
-                spread = np.array([np.diag(one) for one in at.own_covariances(place, covariance, free.variance)]).T
+                spread = np.array([np.diag(inner) for inner, _ in _own_spreads(at, fit, place)]).T
                 for term, *values_of in zip(part.terms, own, np.sqrt(np.maximum(spread, 0.0)), strict=True):
                     terms[:, term.power + 2, which] += (1j if term.turned else 1.0) * scale * np.array(values_of)
             residues = at.residues[:, which] if n else np.zeros((0, len(which), m), complex)
@@ -764,19 +774,9 @@ def _shapes(
 
 
 def _own_spreads(at: FreeProjection, fit: StructuredFit, experiment: int) -> list[tuple[Array, Array]]:
-    """Covariance of what belongs to an experiment, for each output, and with the poles and shared unknowns of it.
-
-    Columns of the latter: imaginary parts of the poles, real parts, what `shared` has of the output.
-    """
-    n, width, found = len(fit.p), len(at.shared), []
-    every = fit.covariance if n else at.covariance(fit.variance)
-    outputs = at.experiments[experiment].outputs.tolist()
-    for output, (inverse, by_poles, by_shared) in zip(outputs, at.own_sensitivities(experiment), strict=True):
-        places = np.concatenate([np.arange(2 * n), 2 * n + output * width + np.arange(width)]).astype(int)
-        along = np.concatenate([by_poles, by_shared], axis=1)
-        inner = every[np.ix_(places, places)]
-        found.append((fit.variance * inverse + along @ inner @ along.T, along @ inner))
-    return found
+    """Covariance of what belongs to an experiment, for each output, and with the poles and shared unknowns of it."""
+    every = fit.covariance if len(fit.p) else at.covariance(fit.variance)
+    return at.own_covariances(experiment, every, fit.variance)
 
 
 def _motion_covariances(at: FreeProjection, fit: StructuredFit, free: FreeFit, rank: Indices) -> list[Array]:

@@ -334,26 +334,20 @@ class FreeProjection(LinearProjection):
         n = len(self.p)
         return [one.at(self.p).predict(self.shared[np.ix_(places_of(one, n), one.outputs)], own) for one, own in pairs]
 
-    def own_covariances(self, experiment: int, covariance: Array, variance: float) -> list[Array]:
-        """Covariance of what belongs to an experiment, for each output, from that of poles and `shared`."""
-        rows, (inverse, above, _) = self.experiments[experiment], self._parts[experiment]
-        n, width, found = len(self.p), len(self.shared), []
-        for own, output in zip(self.own[experiment].T, rows.outputs.tolist(), strict=True):
-            by = by_poles(above.derivatives, rows, own, self.residues[:, output])
-            along = inverse @ np.concatenate([by, above.shared], axis=1)
-            places = np.append(np.arange(2 * n), 2 * n + output * width + np.arange(width))
-            found.append(variance * inverse @ inverse.T + along @ covariance[np.ix_(places, places)] @ along.T)
-        return found
+    def own_covariances(self, experiment: int, covariance: Array, variance: float) -> list[tuple[Array, Array]]:
+        """Covariances of what belongs to an experiment, for each output, from that of poles and `shared`.
 
-    def own_sensitivities(self, experiment: int) -> list[tuple[Array, Array, Array]]:
-        """Of what belongs to an experiment, for each output: inverse Gram matrix, derivatives by poles and by `shared`.
-
-        Poles by imaginary, then real parts.
+        Then those with the poles, by imaginary and real parts, and with what `shared` has of the output.
         """
         rows, (inverse, above, _) = self.experiments[experiment], self._parts[experiment]
-        pairs = zip(self.own[experiment].T, rows.outputs.tolist(), strict=True)
-        slopes = (by_poles(above.derivatives, rows, own, self.residues[:, output]) for own, output in pairs)
-        return [(inverse @ inverse.T, -inverse @ slope, -inverse @ above.shared) for slope in slopes]
+        n, width, pairs = len(self.p), len(self.shared), []
+        for own, output in zip(self.own[experiment].T, rows.outputs.tolist(), strict=True):
+            slopes = by_poles(above.derivatives, rows, own, self.residues[:, output])
+            along = -inverse @ np.concatenate([slopes, above.shared], axis=1)
+            places = np.append(np.arange(2 * n), 2 * n + output * width + np.arange(width)).astype(int)
+            crossed = along @ covariance[np.ix_(places, places)]
+            pairs.append((variance * inverse @ inverse.T + crossed @ along.T, crossed))
+        return pairs
 
     def _slopes(self, group: _Together, output: int) -> Array:
         """Derivatives of an output by imaginary and real parts of the poles, in the rows of its group."""

@@ -48,6 +48,8 @@ class Cause(Enum):
     SATURATION = "an output that stays at an end of its range"
     WILD_LINES = "lines of a response far out of all others"
     HAMMER_NOISE = "noise of a hammer's force between its contacts"
+    LARGEST_ORDER = "as many modes as the search may find"
+    FEWER_MODES = "fewer modes than the order that was given"
 
 
 REJECTED = {
@@ -75,7 +77,8 @@ class Finding:
         the ends of the band about the peak of their spectrum, rad per unit time, the density there over its geometric
         mean, and the share of their power; of outliers their places, counted from 0; of an output that
         stays at an end of its range how many samples do, and that end or both; of the noise of a hammer's force its
-        standard deviation, and the peak of the force; of wild lines their frequencies, rad per unit time.
+        standard deviation, and the peak of the force; of wild lines their frequencies, rad per unit time; of the
+        largest order that order; of fewer modes the order that was given, and how many reproduce the data.
     gain : float
         How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers and ends of the range.
     output : str
@@ -262,6 +265,13 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
             f"The response{where} was left out at {listed} {'Hz' if time_unit else 'rad per unit time'}: values there "
             "are of another size than all about them, and no mode explains them, as where an integrated signal is "
             "divided by a frequency of 0. Mark them with NaN."
+        )
+    if finding.cause is Cause.LARGEST_ORDER:
+        return f"The search ended at max_order={values[0]:.0f}: there may be more modes; give a larger max_order."
+    if finding.cause is Cause.FEWER_MODES:
+        return (
+            f"Of the {values[0]:.0f} modes of the order that was given {values[1]:.0f} reproduce the data to rounding; "
+            "of others nothing is seen."
         )
     if finding.cause is Cause.OUTLIERS:
         which = f"Values of {finding.output!r}" + f" in experiment {finding.experiment + 1}" * bool(finding.experiment)

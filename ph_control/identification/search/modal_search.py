@@ -501,9 +501,10 @@ def _with_constants(found: FreeFit) -> FreeFit:
 
 def _evidence_of_constants(at: FreeProjection) -> float:
     """How much the loss would grow without the constants of the outputs."""
+    covariance = at.covariance(1.0)
     pairs = (
-        (own[-1], inverse[-1, -1]) for k, outputs in enumerate(at.own)
-        for own, (inverse, *_) in zip(outputs.T, at.own_sensitivities(k), strict=True)
+        (own[-1], inner[-1, -1]) for k, outputs in enumerate(at.own)
+        for own, (inner, _) in zip(outputs.T, at.own_covariances(k, covariance, 1.0), strict=True)
     )  # fmt: skip
     return float(sum(value**2 / variance for value, variance in pairs))
 
@@ -916,8 +917,8 @@ class FreePath:
     def cost(self, model: FreeModel) -> float:
         """What the order is chosen by: the criterion, with noise of each output as coloured as it prefers."""
         found = self.criteria(self.loglik(model.losses), self.search.unknowns_of(model.p)).by_name(self.criterion)
-        # what no mode explains yet is not taken for noise
-        if not (len(model.p) or model.innovations):
+        # what no mode explains yet is not taken for noise, nor is rounding
+        if not (len(model.p) or model.innovations) or self.is_exact(model):
             return found
         for count, noise in zip(self.counts, model.noise, strict=False):
             found += past_of_noise(int(count), noise.variances, self._each)
@@ -1135,7 +1136,7 @@ class FreePath:
         """The same where no mode that has joined is doubted; `after` each step models may be changed."""
         model = after(self.reweighted(self.model(start)))
         best, missed = model, 0
-        while missed < TUNING.patience:
+        while missed < TUNING.patience and not self.is_exact(model):
             more = self.joined(model, most, automatic)
             if more is None:
                 break
@@ -1163,7 +1164,7 @@ class FreePath:
             return None
         pole, gain = self.scaled.lag(model.at)
         p = np.append(model.p, pole)
-        if self.search.unknowns_of(p) >= self.counts.sum() or np.all(model.losses <= self.floors):
+        if self.search.unknowns_of(p) >= self.counts.sum() or self.is_exact(model):
             return None
         now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(p)
         modes, joint = self.candidates(model)[1].max(initial=0.0), self.search is not self.plain
@@ -1216,7 +1217,7 @@ class FreePath:
         more = model
         for _ in range(TUNING.patches):
             p, gains = self.candidates(more)
-            if not gains.any() or _modes(more.p) >= most or self.is_white(more):
+            if not gains.any() or _modes(more.p) >= most or self.is_exact(more) or self.is_white(more):
                 break
             more = self.reweighted(self.model(np.append(more.p, p[0])))
         if more is model or not self.is_white(more):
@@ -1225,11 +1226,18 @@ class FreePath:
         better = self.is_white(more) and self.cost(more) < self.cost(model)
         return more if better and not self.grows(more) else model
 
+    def is_exact(self, model: FreeModel) -> bool:
+        """Whether what is left of all outputs is rounding."""
+        return bool(np.all(model.losses <= self.floors))
+
     def is_sound(self, model: FreeModel, lags: int = 0) -> bool:
         """Whether each mode is one of the plant: none mends the shape of another, is too broad, or grows unseen.
 
-        So many as `lags` that have become pairs of complex poles may be broad.
+        So many as `lags` that have become pairs of complex poles may be broad.  Nothing is doubted of a model that
+        reproduces the data to rounding.
         """
+        if self.is_exact(model):
+            return True
         broad = int(np.sum(_broad(model.p))) > lags
         return not patching(model.at, self.search.crowding) and not broad and not self.grows(model)
 
@@ -1499,7 +1507,7 @@ def term_gains(at: FreeProjection, variance: float) -> dict[Term, tuple[float, i
     covariance = at.covariance(variance)
     for k, rows in enumerate(at.experiments):
         if isinstance(rows, FreeResponse) and rows.terms:
-            spread = np.array([np.diag(one) for one in at.own_covariances(k, covariance, variance)]).T
+            spread = np.array([np.diag(inner) for inner, _ in at.own_covariances(k, covariance, variance)]).T
             squares = at.own[k] ** 2 / np.where(spread > 0, spread, np.inf)
             for term, each in zip(rows.terms, squares, strict=True):
                 gain, count = found.get(term, (0.0, 0))

@@ -17,7 +17,7 @@ from scipy.linalg import lapack
 from ..._checks import EPS
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
-from ..regression.elimination import LinearProjection
+from ..regression.elimination import LinearProjection, tolerance
 from ..regression.free import Delays, FreeProjection, GivenResidues
 from ..regression.sections import PoleRegion
 from ..regression.triangular import reduced
@@ -210,6 +210,14 @@ class ConstrainedProjection(LinearProjection):
         J = np.concatenate([poles, *map(self.derivatives, range(self._problem.start.shared.shape[1]))])[:, kept]
         return np.asarray(J @ (variance * inner) @ J.T)
 
+    @cached_property
+    def deficiency(self) -> int:
+        """Number of combinations of the coordinates that leave no trace in the data."""
+        kept = np.flatnonzero(np.diag(self.gram))
+        lengths = np.sqrt(np.diag(self.gram)[kept])
+        seen = np.linalg.eigvalsh(self.gram[np.ix_(kept, kept)] / np.outer(lengths, lengths))
+        return int(np.sum(seen <= tolerance(self._problem.samples, len(kept)) * seen.max(initial=0.0)))
+
     def delay_errors(self, variance: float) -> Array:
         """Standard errors of the delays."""
         kept, inner = self._inverse_gram
@@ -304,8 +312,8 @@ def constrained(
     coordinates = coordinates_of(at, layout, hypothesis)
     if hypothesis == "free" and delays is None:
         return StructuredFit(
-            hypothesis, "free", at.p, *layout.split(at.shared, len(at.p)), None, None, at.loss, coordinates.dof,
-            variance, at, True, at,
+            hypothesis, "free", at.p, *layout.split(at.shared, len(at.p)), None, None, at.loss,
+            coordinates.dof - at.deficiency, variance, at, True, at,
         )  # fmt: skip
     if hypothesis == "passive":
         return nearest_passive_fit(at, layout, lambda: constrained(at, layout, "classical", region, _ITERATIONS))
@@ -326,7 +334,7 @@ def constrained(
     shapes, participation = coordinates.shapes(known) if isinstance(coordinates, ShapeCoordinates) else (None, None)
     return StructuredFit(
         hypothesis, STRUCTURES[hypothesis], end.p, end.residues, end.feedthrough, shapes, participation, end.loss,
-        coordinates.dof + (0 if delays is None else delays.count), variance, cast(GivenResidues, end.data),
+        coordinates.dof - end.deficiency + (0 if delays is None else delays.count), variance, cast(GivenResidues, end.data),
         found.converged, end, end.delays,
     )  # fmt: skip
 
@@ -371,6 +379,9 @@ def coordinates_of(at: FreeProjection, layout: ChannelLayout, hypothesis: str) -
     n, shown, sections = len(at.p), at.shown, at.sections
     residues, through = layout.split(shown.astype(float), n)
     entries, fed = np.any(residues, axis=0, keepdims=True)[0], through != 0
+    if hypothesis == "lossless":
+        # beside an accelerometer's mass, what is fed through dissipates
+        fed &= np.array([quantity in ("acceleration", "free") for quantity in layout.quantities])[:, None]
     if not layout.inputs:
         return MatrixCoordinates(layout, sections, entries, fed, damped=hypothesis != "lossless")
     if hypothesis in ("lossless", "classical"):

@@ -130,8 +130,8 @@ def testable(layout: ChannelLayout) -> list[str]:
 def likelihood_test(at: FreeProjection, fit: StructuredFit, dof: int) -> HypothesisTest:
     """A structure against the free model, which has so many unknowns more; the variance is that of the free fit."""
     spare = max(1, at.rows - at.unknowns)
-    variance = max(at.loss, _rounding(at)) / spare
-    gain = max(0.0, fit.loss - at.loss)
+    least = max(at.loss, _rounding(at))
+    variance, gain = least / spare, max(0.0, fit.loss - least)
     if not dof:
         return HypothesisTest(fit.hypothesis, 0.0, 0, 1.0)
     ratio = (spare + dof) * float(np.log1p(gain / variance / spare))

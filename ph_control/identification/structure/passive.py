@@ -42,6 +42,11 @@ class PassivePoint:
     active: int
     inverse: Array
 
+    @property
+    def deficiency(self) -> int:
+        """Number of combinations of residues that leave no trace in the data."""
+        return self.data.deficiency
+
     def covariance(self, variance: float) -> Array:
         """Covariance of what may move, for a variance of the rows."""
         return variance * self.inverse
