@@ -305,7 +305,8 @@ def _explains(trial: _Chosen, best: _Chosen) -> bool:
         return False
     refused = [one.likelihood_ratio for one in best.tests if one.hypothesis == trial.fit.hypothesis]
     spare = (best.fit.parameters - trial.fit.parameters) * float(np.log(trial.fit.projection.rows))
-    nearly = np.sum(trial.fit.p.imag > 0) > 1 and spare - 2 * _gain(trial, best) < _NEARLY * max([*refused, 0.0])
+    several = np.sum(trial.fit.p.imag > 0) > 1
+    nearly = spare > 0 and several and spare - 2 * _gain(trial, best) < _NEARLY * max([*refused, 0.0])
     return bool(_gain(trial, best) > TUNING.sure or nearly)
 
 

@@ -1396,7 +1396,7 @@ class FreePath:
                 at, losses = self.settled(at.p, fed, interrupted)
         if self.constant_open and not interrupted and len(at.p):
             constants = sum(len(rows.outputs) for rows in self.search.data)
-            if _evidence_of_constants(at) < constants * np.log(at.rows):
+            if _evidence_of_constants(at) < max(2 * TUNING.likely, constants * np.log(at.rows)):
                 self.drop_constants(losses)
                 at, losses = self.settled(at.p, fed, False)
         at, losses = self.on_simplest_background(at, losses, fed, interrupted)
