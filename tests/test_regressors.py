@@ -8,35 +8,31 @@ from reference import EPS, dense_simulation
 from scipy.linalg import expm
 
 import ph_control as phc
+from ph_control.identification.fit.pem_result import residue_of_unit_weight
 from ph_control.identification.regression import time_rows as experiment
 from ph_control.identification.regression.free import FreeProjection, GivenResidues
 from ph_control.identification.regression.frequency_rows import FreeResponse
 from ph_control.identification.regression.spectral_rows import ChannelSpectra, FreeWindow
-from ph_control.identification.regression.time_rows import FreeRecord, Modal, RecordColumns, RecordRows, Shared, gram
-from ph_control.identification.regression.variable_projection import Problem
+from ph_control.identification.regression.time_rows import FreeRecord, Modal, RecordColumns, Shared, gram
+from ph_control.identification.structure.layout import POWERS
 from ph_control.modal.discretization import Hold
 
 HOLDS = [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]
-BLOCKS = ["forced", "cosine", "sine"]
 
 
-def columns(d, u, hold, quantity="velocity"):
-    """Response of each mode to the input, and its free motions from a unit amplitude and a quarter of a turn ahead."""
-    one = RecordRows(u, u, np.ones(len(u), bool), hold, quantity=quantity)
-    return one.sensitivities(d, np.zeros(len(d)), np.zeros(len(d), complex))[:, len(d) :]
+def blocks_of(p, u, hold):
+    """Columns of the motions and of the residues (2, 2n, T), and their derivatives by the poles."""
+    n = len(p)
+    record = FreeRecord(u[None], u[None], np.ones(len(u), bool), hold)
+    rows = np.concatenate(list(record.at(p).blocks()), axis=1)
+    columns = np.stack([rows[: 2 * n], rows[2 * n : 4 * n]])
+    assert np.array_equal(rows[4 * n], u) and np.array_equal(rows[-1], u)
+    return columns, rows[4 * n + 1 : -1].reshape(2, 2 * n, -1)
 
 
-def block_of(d, u, hold, block, quantity="velocity"):
-    """One kind of these columns, shape (T, n)."""
-    return np.split(columns(d, u, hold, quantity), 3, axis=1)[BLOCKS.index(block)]
-
-
-def slope_of(d, u, hold, block, quantity="velocity"):
-    """The derivative of each of them by the frequency of its mode."""
-    n, place = len(d), BLOCKS.index(block)
-    one = RecordRows(u, u, np.ones(len(u), bool), hold, quantity=quantity)
-    amplitude = np.full(n, [0, 1, 1j][place])
-    return one.sensitivities(d, np.full(n, float(place == 0)), amplitude)[:, :n]
+def columns_of(p, u, hold):
+    """Motions, then residues, real parts before imaginary ones, shape (T, 4n)."""
+    return np.concatenate(blocks_of(p, u, hold)[0]).T
 
 
 @pytest.mark.parametrize("method, intersample", HOLDS)
@@ -46,23 +42,35 @@ def test_columns_reproduce_a_simulation_with_initial_state(method, intersample):
     plant = phc.ph(phc.modes(d, r))
     z0 = rng.standard_normal(6)
     y = phc.forced_response(plant, h * np.arange(300), u, z0, method=method, intersample=intersample).outputs
-    hold = Hold(h, method, intersample)
-    amplitude = d * np.sqrt(r) * (z0[:3] + 1j * z0[3:])
-    predicted = columns(d, u, hold) @ np.concatenate([r * d, amplitude.real, amplitude.imag])
-    assert np.abs(predicted - y).max() <= 4e3 * np.finfo(float).eps * np.abs(y).max()
+    # a mode turns as exp(-i d t) in the states of the plant, its conjugate as exp(i d t)
+    motion = 0.5 * d * np.sqrt(r) * (z0[:3] - 1j * z0[3:])
+    predicted = columns_of(1j * d, u, Hold(h, method, intersample)) @ np.concatenate([
+        motion.real, motion.imag, 0.5 * r * d, np.zeros(3)
+    ])  # fmt: skip
+    assert np.abs(predicted - y).max() <= 4e3 * EPS * np.abs(y).max()
 
 
-@pytest.mark.parametrize("block", BLOCKS)
+def poles_of(method):
+    """Slow, damped and undamped modes, and a real pole, each within what the method can follow."""
+    if method == "euler":
+        return np.array([1e-3j, -0.02 + 0.3j, -0.1 + 1.0j, -0.4 + 2.0j, -0.7])
+    return np.array([1e-3j, -0.02 + 0.3j, -0.5 + 4.0j, 29.0j, -0.7])
+
+
+@pytest.mark.parametrize("block", [0, 1])
+@pytest.mark.parametrize("turn", [1.0, 1j])
 @pytest.mark.parametrize("method, intersample", HOLDS)
-def test_slopes_are_the_derivatives_of_the_columns(method, intersample, block):
+def test_slopes_are_the_derivatives_of_the_columns(method, intersample, turn, block):
     rng = np.random.default_rng(3)
-    u, hold, step = rng.standard_normal(250), Hold(0.1, method, intersample), 1e-5
-    d = np.array([1e-3, 0.3, 4.0, 29.0]) if method != "euler" else np.array([1e-3, 0.3, 1.0, 2.0])
-    difference = (block_of(d + step, u, hold, block) - block_of(d - step, u, hold, block)) / (2 * step)
-    slope = slope_of(d, u, hold, block)
-    # a central difference is right to step^2 |f'''| / 6 plus rounding / step
-    third = (250 * 0.1) ** 3 * np.abs(block_of(d, u, hold, block)).max()
-    allowed = third * step**2 / 6 + 1e3 * np.finfo(float).eps * np.abs(slope).max() / step
+    u, hold, step, p = rng.standard_normal(250), Hold(0.1, method, intersample), 1e-5, poles_of(method)
+    n = len(p)
+    (columns, slopes), ahead, behind = (blocks_of(p + s * turn, u, hold) for s in (0.0, step, -step))
+    difference = (ahead[0][block] - behind[0][block]) / (2 * step)
+    # along the imaginary axis a complex coefficient turns by a quarter
+    slope = slopes[block] if turn == 1 else np.concatenate([slopes[block][n:], -slopes[block][:n]])
+    # a central difference is right to step^2 |third derivative| / 6 plus rounding / step
+    third = (250 * 0.1) ** 3 * np.abs(columns[block]).max()
+    allowed = third * step**2 / 6 + 1e3 * EPS * np.abs(slope).max() / step
     assert np.abs(slope - difference).max() <= allowed
     assert np.abs(slope).max() > 1e2 * allowed
 
@@ -77,86 +85,87 @@ def test_frequency_of_a_phase_turns_a_mode_by_that_phase(phase, h, method):
 
 # --- every kind of sensor -------------------------------------------------------------------------------------------
 
-QUANTITIES = ["velocity", "displacement", "acceleration"]
+
+def simulated(p, weight, start, u, h, method, intersample):
+    """Outputs `Re(weight x)` of `x' = p x + u` from a state, by dense matrices, sample by sample."""
+    A = np.array([[p.real, -p.imag], [p.imag, p.real]])
+    C = np.array([[weight.real, -weight.imag]])
+    y, _ = dense_simulation(A, np.eye(2)[:, :1], C, u[None], np.array([start.real, start.imag]), h, method, intersample)
+    return y[0]
 
 
-def simulated(d, kappa, start, u, h, method, intersample, quantity):
-    """Outputs of `x' = -i d x + kappa u` from the states `start`, by dense matrices, sample by sample."""
-    n = len(d)
-    A = np.block([[np.zeros((n, n)), np.diag(d)], [-np.diag(d), np.zeros((n, n))]])
-    B = np.concatenate([kappa, np.zeros(n)])[:, None]
-    weight = {"velocity": np.ones(n), "displacement": 1j / d, "acceleration": -1j * d}[quantity] + 0j
-    C = np.concatenate([weight.real, -weight.imag])[None]
-    y, _ = dense_simulation(A, B, C, u[None], np.concatenate([start.real, start.imag]), h, method, intersample)
-    return y[0] + (u * kappa.sum() if quantity == "acceleration" else 0.0)
-
-
-@pytest.mark.parametrize("quantity", QUANTITIES)
 @pytest.mark.parametrize("method, intersample", HOLDS)
-def test_columns_of_every_sensor_are_those_of_a_dense_simulation(method, intersample, quantity):
+def test_columns_are_those_of_a_dense_simulation(method, intersample):
     rng = np.random.default_rng(4)
-    samples, h, d = 301, 0.05, np.array([0.7, 3.0, 11.0])
-    u, free = rng.standard_normal(samples), {"velocity": 1, "displacement": 1j / d, "acceleration": -1j * d}[quantity]
-    hold = Hold(h, method, intersample)
-    for l in range(3):
-        one, nil = np.array([1.0 + 0j]), np.zeros(samples)
-        # a free motion is named by what it shows at the output
-        start = one / np.broadcast_to(free, 3)[l]
-        expected = {
-            "forced": simulated(d[[l]], np.ones(1), 0 * one, u, h, method, intersample, quantity),
-            "cosine": simulated(d[[l]], np.zeros(1), start, nil, h, method, intersample, quantity),
-            "sine": simulated(d[[l]], np.zeros(1), 1j * start, nil, h, method, intersample, quantity),
-        }
-        for block in BLOCKS:
-            column = block_of(d, u, hold, block, quantity)[:, l]
-            size = np.abs(expected[block]).max()
-            assert np.abs(column - expected[block]).max() <= 10 * samples * EPS * size, block
+    samples, h, p = 301, 0.05, np.array([0.7j, -0.05 + 3.0j, -0.4 + 11.0j, -0.3, 0.01 + 0.9j])
+    u, nil = rng.standard_normal(samples), np.zeros(samples)
+    motions, forced = np.split(columns_of(p, u, Hold(h, method, intersample)), 2, axis=1)
+    for l, pole in enumerate(p):
+        for part, turn in enumerate([2.0 + 0j, 2j]):
+            place = l + part * len(p)
+            for column, expected in (
+                (motions[:, place], simulated(pole, turn, 1.0 + 0j, nil, h, method, intersample)),
+                (forced[:, place], simulated(pole, turn, 0j, u, h, method, intersample)),
+            ):
+                # of a real pole the imaginary part of a coefficient does nothing
+                size = max(np.abs(expected).max(), 1.0 if pole.imag == 0 else 0.0)
+                assert np.abs(column - expected).max() <= 10 * samples * EPS * size
 
 
-@pytest.mark.parametrize("quantity", QUANTITIES)
-@pytest.mark.parametrize("method, intersample", HOLDS)
-def test_slopes_of_every_sensor_are_the_derivatives_of_its_columns(method, intersample, quantity):
+@pytest.mark.parametrize("quantity", POWERS)
+@pytest.mark.parametrize("zeta", [0.0, 0.03])
+def test_residues_of_unit_weight_give_what_a_sensor_of_every_quantity_measures(zeta, quantity):
     rng = np.random.default_rng(5)
-    u, hold, step = rng.standard_normal(130), Hold(0.1, method, intersample), 1e-5
-    d = np.array([0.05, 0.3, 1.0, 2.0])
-    for block in BLOCKS:
-        ahead, here, behind = (block_of(d + s, u, hold, block, quantity) for s in (step, 0.0, -step))
-        slope = slope_of(d, u, hold, block, quantity)
-        # relative changes of the frequency, and of the weights 1/d of a displacement, bound the third derivative
-        reach = 13.0 + 3 / d
-        allowed = step**2 * reach**3 * np.abs(here).max(axis=0) + 1e3 * EPS * np.abs(here).max(axis=0) / step
-        assert (np.abs(slope - (ahead - behind) / (2 * step)).max(axis=0) <= allowed).all(), block
-        assert np.abs(slope).max() > 1e3 * allowed.min()
+    samples, h, d, power = 301, 0.05, np.array([0.7, 3.0, 11.0]), POWERS[quantity]
+    u = rng.standard_normal(samples)
+    # a weight r = 1 is a residue kappa = d: a unit mass that takes d times the input
+    expected = np.zeros(samples)
+    for frequency in d:
+        A = np.array([[0.0, 1.0], [-(frequency**2), -2 * zeta * frequency]])
+        C = np.array([[1.0, 0.0], [0.0, 1.0], A[1]])[power]
+        y, _ = dense_simulation(A, np.array([[0.0], [frequency]]), C[None], u[None], np.zeros(2), h)
+        expected += y[0] + frequency * u * (power == 2)
+    residues = residue_of_unit_weight(d, power, zeta)
+    p = d * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    found = columns_of(p, u, Hold(h))[:, 6:] @ np.concatenate([residues.real, residues.imag]) + d.sum() * u * (
+        power == 2
+    )
+    assert np.abs(found - expected).max() <= 1e3 * samples * EPS * np.abs(expected).max()
 
 
 # --- blocks ---------------------------------------------------------------------------------------------------------
 
+POLES = np.array([0.2j, -0.02 + 0.9j, -0.3 + 1.4j])
 
-@pytest.mark.parametrize("quantity", QUANTITIES)
+
+def record_for(samples, offset, moving, driven, missing, method, intersample, seed):
+    """A record of two inputs and two outputs of noise."""
+    rng = np.random.default_rng(seed)
+    observed = np.arange(samples) % 7 != 3 if missing else np.ones(samples, bool)
+    u = rng.standard_normal((2, samples)) * driven
+    y = np.where(observed, rng.standard_normal((2, samples)), np.nan)
+    hold = Hold(0.1, method, intersample)
+    return FreeRecord(u, y, observed, hold, moving, int(offset), True, driven, np.arange(2)), rng
+
+
 @pytest.mark.parametrize("method, intersample", HOLDS)
-@pytest.mark.parametrize("offset, from_rest, driven, missing", [
-    (False, False, True, False), (True, False, True, True), (False, True, True, True), (True, False, False, False),
+@pytest.mark.parametrize("offset, moving, driven, missing", [
+    (False, True, True, False), (True, True, True, True), (False, False, True, True), (True, True, False, False),
 ])  # fmt: skip
 def test_blocks_of_a_long_record_are_those_of_one_piece(
-    monkeypatch, method, intersample, quantity, offset, from_rest, driven, missing
+    monkeypatch, method, intersample, offset, moving, driven, missing
 ):
-    rng = np.random.default_rng(6)
-    samples, d = 1000, np.array([0.2, 0.9, 1.4])
-    observed = np.arange(samples) % 7 != 3 if missing else np.ones(samples, bool)
-    u = rng.standard_normal(samples) if driven else np.zeros(samples)
-    y = np.where(observed, rng.standard_normal(samples), np.nan)
-    one = RecordRows(u, y, observed, Hold(0.1, method, intersample), from_rest, offset, quantity, driven)
-    kappa, own = rng.random(3), rng.standard_normal(one.own_unknowns(3))
+    samples, n = 1000, len(POLES)
+    record, rng = record_for(samples, offset, moving, driven, missing, method, intersample, 6)
+    own, shared = rng.standard_normal((record.own_unknowns(n), 2)), rng.standard_normal((2 * (2 * n + 1), 2))
 
     def rows():
-        at = one.at(d)
-        blocks, sensitive = list(at.blocks()), list(at.sensitive_blocks(kappa, own))
-        assert len(blocks) == len(sensitive)
-        return len(blocks), np.concatenate(blocks, axis=1), np.concatenate(sensitive, axis=1), at.predict(kappa, own)
+        at = record.at(POLES)
+        blocks = list(at.blocks())
+        return len(blocks), np.concatenate(blocks, axis=1), at.predict(shared, own)
 
     whole = rows()
-    F, cos, sin = (block_of(d, u, one.hold, block, quantity)[observed].T for block in BLOCKS)
-    slopes = [slope_of(d, u, one.hold, block, quantity)[observed].T for block in BLOCKS]
+    parts = [blocks_of(POLES, u, record.hold) for u in record.u]
     monkeypatch.setattr(experiment, "_BLOCK", 1)
     monkeypatch.setattr(experiment, "_FEWEST", 3)
     pieces = rows()
@@ -165,55 +174,56 @@ def test_blocks_of_a_long_record_are_those_of_one_piece(
         size = np.abs(entire).max(axis=-1, keepdims=True)
         assert (np.abs(piece - entire) <= 200 * samples * EPS * size).all()
     # and they are the columns and slopes over the whole record
-    expected = [] if from_rest else [cos, sin]
-    expected += [np.ones((1, int(observed.sum())))] * offset + [F] * driven + [y[None, observed]]
-    assert np.allclose(whole[1], np.concatenate(expected), rtol=0, atol=1e3 * EPS * np.abs(F).max() + 1e3 * EPS)
-    moving = (np.zeros(3), np.zeros(3)) if from_rest else (own[:3], own[3:6])
-    by_d = sum(c[:, None] * slope for c, slope in zip((kappa * driven, *moving), slopes, strict=True))
-    assert np.allclose(whole[2][-4:-1], by_d, rtol=0, atol=1e4 * EPS * np.abs(by_d).max())
+    expected = [parts[0][0][0]] * moving + [np.ones((1, samples))] * offset
+    for (columns, _), u in zip(parts, record.u, strict=True):
+        expected += [columns[1], u[None]] * driven
+    of_model = np.concatenate(expected)
+    expected += [parts[0][1][0]] * moving
+    for _, slopes in parts:
+        expected += [slopes[1]] * driven
+    everything = np.concatenate([*expected, record.y])
+    size = np.abs(everything[:, record.observed]).max(axis=1, keepdims=True)
+    assert (np.abs(whole[1] - everything[:, record.observed]) <= 1e3 * EPS * size).all()
+    weights = np.concatenate([own, shared[: len(shared) * driven]])
+    assert np.allclose(whole[2], weights.T @ of_model, rtol=0, atol=1e4 * EPS * np.abs(whole[2]).max())
 
 
 # --- inner products without columns -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("quantity", QUANTITIES)
 @pytest.mark.parametrize("method, intersample", HOLDS)
-@pytest.mark.parametrize("offset, from_rest, driven, samples", [
-    (False, False, True, 1000), (True, False, True, 31), (False, True, True, 992), (True, False, False, 1),
-    (True, True, True, 993), (False, True, False, 70),
+@pytest.mark.parametrize("offset, moving, driven, samples", [
+    (False, True, True, 1000), (True, True, True, 31), (False, False, True, 992), (True, True, False, 1),
+    (True, False, True, 993), (False, False, False, 70),
 ])  # fmt: skip
 def test_inner_products_by_groups_are_those_of_the_columns(
-    monkeypatch, method, intersample, quantity, offset, from_rest, driven, samples
+    monkeypatch, method, intersample, offset, moving, driven, samples
 ):
-    rng = np.random.default_rng(8)
-    u, y = rng.standard_normal((2, samples)) * ((driven,), (1,))
-    hold, d = Hold(0.1, method, intersample), np.array([0.2, 0.9, 1.4])
-    at = RecordRows(u, y, np.ones(samples, bool), hold, from_rest, offset, quantity, driven).at(d)
-    own = rng.standard_normal(2 * 3 * (not from_rest) + offset)
-    # a residue of nothing leaves a column of nothing, where there is no free motion either
-    kappa = np.array([0.5, 0.0, 2.0])
-    assert at.gram() is None and at.sensitive_gram(kappa, own) is None
-    columns = np.concatenate(list(at.blocks()), axis=1), np.concatenate(list(at.sensitive_blocks(kappa, own)), axis=1)
+    record, _ = record_for(samples, offset, moving, driven, False, method, intersample, 8)
+    at = record.at(POLES)
+    assert at.gram() is None
+    columns = np.concatenate(list(at.blocks()), axis=1)
+    expected = columns @ columns.T
+    lengths = np.sqrt(np.diag(expected))
     monkeypatch.setattr(RecordColumns, "_by_gram", True)
     for piece in (1, 1 << 19):
         monkeypatch.setattr(experiment, "_BLOCK", piece)
         monkeypatch.setattr(experiment, "_FEWEST", 3)
-        for found, whole in zip((at.gram(), at.sensitive_gram(kappa, own)), columns, strict=True):
-            expected = whole @ whole.T
-            lengths = np.sqrt(np.diag(expected))
-            assert found.shape == expected.shape
-            # sums of that many products, each of some
-            allowed = 4 * (samples + 30) * EPS * np.outer(lengths, lengths)
-            assert (np.abs(found - expected) <= allowed).all()
+        found = at.gram()
+        assert found.shape == expected.shape
+        # sums of that many products, each of some
+        allowed = 4 * (samples + 30) * EPS * np.outer(lengths, lengths)
+        assert (np.abs(found - expected) <= allowed).all()
 
 
 def test_inner_products_of_a_record_with_gaps_are_left_to_its_columns():
     samples = experiment._LONG
-    u, observed = np.ones(samples), np.arange(samples) != 7
-    d, hold = np.array([0.3]), Hold(1.0)
-    assert RecordRows(u, u, observed, hold).at(d).gram() is None
-    assert RecordRows(u, u, np.ones(samples, bool), hold).at(d).gram().shape == (4, 4)
-    assert RecordRows(u[1:], u[1:], np.ones(samples - 1, bool), hold).at(d).gram() is None
+    u, observed, every = np.ones((1, samples)), np.arange(samples) != 7, np.ones(samples, bool)
+    p, hold = np.array([0.3j]), Hold(1.0)
+    assert FreeRecord(u, u, observed, hold).at(p).gram() is None
+    # two motions, two parts of a residue, what is fed through, a derivative of each but the last, the output
+    assert FreeRecord(u, u, every, hold).at(p).gram().shape == (10, 10)
+    assert FreeRecord(u[:, 1:], u[:, 1:], every[1:], hold).at(p).gram() is None
 
 
 def test_parts_that_name_the_same_columns_add_up():
@@ -230,29 +240,34 @@ def test_parts_that_name_the_same_columns_add_up():
 @pytest.mark.parametrize("noise", [0.1, 1e-6])
 def test_a_long_record_gives_the_same_projection_with_and_without_columns(monkeypatch, noise):
     """Also where the output is explained so well that inner products alone would lose digits."""
-    samples, d = experiment._LONG + 17, np.array([0.4, 0.41, 1.9])
+    samples, p = experiment._LONG + 17, np.array([0.4j, 0.41j, -0.001 + 1.9j])
     rng = np.random.default_rng(10)
     u = rng.standard_normal(samples)
     hold = Hold(1.0)
-    y = columns(d, u, hold) @ np.array([1.0, 0.5, 2.0, 3.0, -1.0, 0.5, 0.2, 0.1, -3.0])
+    y = columns_of(p, u, hold) @ np.array([3.0, -1.0, 0.5, 0.2, 0.1, -3.0, 1.0, 0.5, 2.0, 0.3, -0.2, 0.1])
     y += noise * np.std(y) * rng.standard_normal(samples)
-    problem = Problem((RecordRows(u, y, np.ones(samples, bool), hold),))
-    fast, slow = problem.project(d), problem.project(d)
-    fast_step = np.linalg.solve(fast.gram, fast.gradient)
+    record = FreeRecord(u[None], y[None], np.ones(samples, bool), hold)
+
+    def projected():
+        at = FreeProjection([record], p)
+        return at, np.linalg.solve(at.gram, at.gradient)
+
+    fast, fast_step = projected()
     monkeypatch.setattr(experiment, "_LONG", samples + 1)
-    slow_step = np.linalg.solve(slow.gram, slow.gradient)
+    slow, slow_step = projected()
     assert np.isclose(fast.loss, slow.loss, rtol=1e-9 if noise > 1e-3 else 1e-6, atol=0)
-    assert np.allclose(fast.kappa, slow.kappa, rtol=1e-11)
-    # steps in units of the standard error
-    error = np.sqrt(fast.loss / samples * np.diag(np.linalg.inv(fast.gram)))
-    assert (np.abs(fast_step - slow_step) <= 1e-6 * error).all()
+    # in units of the standard error
+    variance = slow.loss / samples
+    assert (np.abs(fast.shared - slow.shared) <= 1e-6 * np.sqrt(variance) * slow.shared_errors).all()
+    assert (np.abs(fast_step - slow_step) <= 1e-6 * np.sqrt(variance * np.diag(np.linalg.inv(slow.gram)))).all()
 
 
-@pytest.mark.parametrize("offset", [False, True])
+@pytest.mark.parametrize("offset", [0, 1])
 @pytest.mark.parametrize("samples", [70, experiment._LONG + 5])
 def test_a_record_without_modes_has_its_mean_and_output_only(samples, offset):
-    y, one = np.linspace(0.0, 1.0, samples), np.ones(samples, bool)
-    here = Problem((RecordRows(y, y, one, Hold(1.0), offset=offset),)).project(np.zeros(0))
+    y = np.linspace(0.0, 1.0, samples)[None]
+    record = FreeRecord(y, y, np.ones(samples, bool), Hold(1.0), offset=offset, through=False)
+    here = FreeProjection([record], np.zeros(0, complex))
     assert np.isclose(here.loss, np.sum((y - offset * 0.5) ** 2), rtol=1e-11) and here.gram.shape == (0, 0)
 
 

@@ -24,7 +24,7 @@ from ..diagnosis.coloured_noise import beside_coloured_noise
 from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
 from ..excitation.excitation import examine
-from ..regression.free import FreeProjection, GivenResidues
+from ..regression.free import FreeProjection, GivenResidues, refine_free
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.frequency_rows import FreeResponse
 from ..regression.modal_regressors import output_weight
@@ -147,9 +147,10 @@ def fit_channels(
         return search(order, start=start, moving=options.moving and not resting, delay=delay)
 
     result = under_either_hold(free, request, findings, with_delay)
-    if options.reachable and (shown := result.order - int(np.sum(result.kappa == 0))) < result.order:
-        reached = result.poles[result.kappa > 0]
-        return fit_channels(channels, request, replace(options, reachable=False), reached, findings, max(1, shown))
+    while options.reachable and result.success and 0 < np.sum(result.kappa > 0) < result.order:
+        free = free if free.rival is None or free.intersample == result.intersample else free.rival
+        free = _of_modes(free, 1j * result.d[result.kappa > 0])
+        result = under_either_hold(free, request, findings)
     return result
 
 
@@ -160,6 +161,18 @@ def _about_order(free: FreeFit, order: int | str, options: Options) -> list[Find
         return [Finding(Cause.LARGEST_ORDER, (float(free.order),), 0.0)] * ended
     fewer = free.order < order and free.rounding
     return [Finding(Cause.FEWER_MODES, (float(order), float(free.order)), 0.0)] * fewer
+
+
+def _of_modes(free: FreeFit, p: ComplexArray) -> FreeFit:
+    """The minimum next to some modes alone, in the rows of a fit of more."""
+    experiments, fed = free.projection.experiments, free.projection.fed
+    projection = refine_free(lambda _: experiments, p, free.region, fed=fed)
+    measured = free.measured and FreeProjection(free.measured.experiments, projection.p, fed)
+    loglik = free.criteria.loglik - 0.5 * projection.rows * float(np.log(projection.loss / free.projection.loss))
+    return replace(
+        free, projection=projection, measured=measured, unknowns=projection.unknowns, rival=None,
+        criteria=replace(free.criteria, loglik=loglik),
+    )  # fmt: skip
 
 
 def checked_delay(value: Any, outputs: int) -> Array | None:

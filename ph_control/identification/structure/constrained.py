@@ -330,6 +330,9 @@ def constrained(
         x = refine(tangent, x, rtol=TUNING.rough, max_iterations=max(most, _FEW), last=False).projection.x
     found = refine(problem, x, rtol=_EXACT, max_iterations=most, last=last)
     end = _at_bound(problem, found.projection) if found.converged else found.projection
+    if end is not found.projection:
+        found = refine(problem, end.x, rtol=_EXACT, max_iterations=most, last=last)
+        end = found.projection
     known = end.x[: coordinates.size]
     shapes, participation = coordinates.shapes(known) if isinstance(coordinates, ShapeCoordinates) else (None, None)
     return StructuredFit(
