@@ -1,4 +1,4 @@
-"""Results of damped modes: parameters with errors that hold, systems, predictions, files, pictures."""
+"""Results of fits of several channels and of one: parameters with errors that hold, systems, predictions, files, pictures."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def phc_output(u):
 def test_all_modes_are_found_and_lie_within_their_errors(kind):
     found = fitted(kind, "free")
     truth = PLANT.truth
-    assert found.order == 2 and isinstance(found, phc.DampedResult | phc.PEMResult) and found.structure == "free"
+    assert found.order == 2 and isinstance(found, phc.PEMResult) and found.structure == "free"
     for name in ("natural_frequencies", "damping_ratios"):
         assert np.all(np.abs(getattr(found, name) - truth[name]) < 4.5 * found.stderr[name])
     assert np.allclose(found.mac(PLANT.shapes).diagonal(), 1, atol=0.01)
@@ -145,7 +145,7 @@ def test_the_model_predicts_new_data_from_a_motion_fitted_to_them():
     for moving, given in ((y + start, "estimate"), (y, "zero")):
         again = found.predict((u, moving), initial_state=given)
         assert np.linalg.norm(again.outputs - moving) < 0.03 * np.linalg.norm(moving)
-    assert np.allclose(found.predict(u).outputs, found.predict((u, y), initial_state="zero").outputs)
+    assert np.allclose(found.predict(u).outputs, found.predict((u, y), initial_state="fitted").outputs)
     assert list(again.output_labels) == list(found.output_labels)
     own = found.predict(data_of(PLANT, "time", 500, 1, 0.02)[0], initial_state="fitted")
     assert np.allclose(own.outputs, found.predicted, atol=1e-9)
@@ -158,8 +158,8 @@ def test_the_model_predicts_new_data_from_a_motion_fitted_to_them():
 # --- one input and one output ----------------------------------------------------------------------------------------
 
 
-def test_one_channel_is_answered_as_by_a_lossless_fit(single):
-    assert isinstance(single, phc.DampedResult) and single.structure == "classical" and single.shapes_scaled
+def test_one_channel_is_answered_without_dimensions_for_it(single):
+    assert isinstance(single, phc.PEMResult) and single.structure == "classical" and single.shapes_scaled
     assert single.predicted.shape == single.record.y.shape and single.shapes.shape == (2, 1)
     assert isinstance(single.system, phc.PortHamiltonian) and isinstance(single.experiments[0], phc.FittedExperiment)
     t, u = single.record.time, single.record.u
@@ -192,7 +192,7 @@ def test_it_comes_back_from_files_and_copies(result, single, tmp_path):
     for k, one in enumerate((result, single)):
         one.save(tmp_path / f"{k}.json")
         for other in (phc.load(tmp_path / f"{k}.json"), pickle.loads(pickle.dumps(one)), copy.deepcopy(one)):
-            assert type(other) is phc.DampedResult and str(other) == str(one)
+            assert type(other) is phc.PEMResult and str(other) == str(one)
             for name, value in vars(one).items():
                 if isinstance(value, np.ndarray):
                     assert np.array_equal(value, getattr(other, name), equal_nan=True)
@@ -207,7 +207,7 @@ def test_it_tells_hertz_and_percent_in_a_hundred_columns(result, single):
     for one in (result, single):
         assert all(len(line) <= 100 for line in one.summary().splitlines())
         assert "damping [%]" in one.summary() and one.verdict in one.summary()
-        assert repr(one).startswith("<DampedResult: 2 modes") and "<table" in one._repr_html_()
+        assert repr(one).startswith("<PEMResult: 2 modes") and "<table" in one._repr_html_()
     plt.close(result.plot().figure)
 
 
@@ -281,7 +281,7 @@ def test_a_diagram_refuses_what_is_out_of_range(single, options):
         single.stabilisation(**options)
 
 
-def test_lossless_results_have_a_diagram_of_frequencies():
+def test_lossless_modes_have_a_diagram_of_frequencies():
     rng, plant = np.random.default_rng(0), phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
     u = rng.standard_normal(400)
     y = phc.forced_response(plant, 0.5 * np.arange(400), u, intersample="zoh").outputs

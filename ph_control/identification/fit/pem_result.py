@@ -532,7 +532,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         return self.ports if self.shapes_scaled else ()
 
     def _orders_about(self, most: int) -> Orders:
-        """Poles and shapes of models of one mode more each, this result among them."""
+        """Poles and shapes of models of one mode more each, this result among them; of lossless modes without decay."""
         records: Any = as_channels([one.record for one in self.experiments])
         rows = orders_about(
             records, self.poles, most, quantities=self.quantities, intersample=self.intersample,
@@ -540,7 +540,10 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         )  # fmt: skip
         return [
             (self.poles[: self.order], self.shapes) if len(poles) == self.order
-            else (poles, ModeShapes.of(poles, residues, self.quantities, ()).shapes)
+            else (
+                1j * poles.imag if self.structure == "lossless" else poles,
+                ModeShapes.of(poles, residues, self.quantities, ()).shapes,
+            )
             for poles, residues in rows
         ]  # fmt: skip
 
