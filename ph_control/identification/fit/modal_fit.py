@@ -15,6 +15,7 @@ from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..._units import common_unit
 from ...exceptions import StructureError
 from ...modal.discretization import Hold
+from ...modal.modal_form import imaginary
 from ..data.channels import Recording, ResponseMatrix, refuse_still, single
 from ..data.frequency_record import FrequencyRecord
 from ..data.parts import Difference, Signal
@@ -149,7 +150,7 @@ def fit_channels(
     result = under_either_hold(free, request, findings, with_delay)
     while options.reachable and result.success and 0 < np.sum(result.kappa > 0) < result.order:
         free = free if free.rival is None or free.intersample == result.intersample else free.rival
-        free = _of_modes(free, 1j * result.d[result.kappa > 0])
+        free = _of_modes(free, imaginary(result.d[result.kappa > 0]))
         result = under_either_hold(free, request, findings)
     return result
 

@@ -344,15 +344,6 @@ class ShapeCoordinates(StructureCoordinates):
         values[:, outputs] = c
         return values
 
-    def at_border(self, x: Array, residues: ComplexArray) -> Array:
-        """Coordinates with 0 for weights of a single port that are nothing beside free residues (n, 1, 1)."""
-        if not (self.real and self.tied and self.values == 1):
-            return x
-        x, part = x.copy(), slice(self._poles, self._poles + self._units)
-        sizes = self.start(self.turned_to_positive(residues), np.zeros(self.through.shape))
-        x[part][np.abs(x[part]) < _NOTHING * np.abs(sizes[part])] = 0.0
-        return x
-
     def shapes(self, x: Array) -> tuple[NDArray[Any], NDArray[Any]]:
         """Numbers of the outputs (n, p), and of the inputs (n, m)."""
         values = self.residue_values(x)
