@@ -19,7 +19,7 @@ from ..._units import common_unit, hertz_size, with_unit
 from ...exceptions import ConditioningWarning, NotPassiveError, StructureError
 from ...modal.discretization import Hold
 from ...modal.general_form import from_vectors, real_matrices
-from ...modal.modal_form import from_frequencies
+from ...modal.modal_form import from_frequencies, imaginary
 from ...reduction.nearest_passive import nearest_passive
 from ...systems.port_hamiltonian import PortHamiltonian, ph
 from ..data.channels import Recording, ResponseMatrix, several
@@ -541,7 +541,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         return [
             (self.poles[: self.order], self.shapes) if len(poles) == self.order
             else (
-                1j * poles.imag if self.structure == "lossless" else poles,
+                imaginary(poles.imag) if self.structure == "lossless" else poles,
                 ModeShapes.of(poles, residues, self.quantities, ()).shapes,
             )
             for poles, residues in rows
