@@ -1,4 +1,4 @@
-"""Results of fits of several channels and of one: parameters with errors that hold, systems, predictions, files, pictures."""
+"""Results of fits: parameters with errors that hold, systems, predictions, files, pictures, of one channel or several."""
 
 from __future__ import annotations
 
