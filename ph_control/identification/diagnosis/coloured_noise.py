@@ -57,7 +57,7 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     if not at.inputs or any(is_short(one) for one in records):
         return free
     through = any(one.cause is Cause.INPUT_NOISE for one in findings)
-    if free.noise and not through and _is_white(free.projection):
+    if free.noise and not through and is_white(free.projection):
         return free
     rows = [row for one in records for row in one.filtered([each.innovations for each in noise])]
     found = refine_free(lambda _: rows, at.p, free.region, _EXACT, at.fed)
@@ -74,7 +74,7 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     return replace(free, projection=FreeProjection(rows, found.p, at.fed), measured=measured)
 
 
-def _is_white(at: FreeProjection) -> bool:
+def is_white(at: FreeProjection) -> bool:
     """Whether what is left in the rows of each output may be white noise."""
     found = []
     for rows, predicted in zip(at.experiments, at.predictions(), strict=True):

@@ -21,7 +21,7 @@ from ..data.frequency_record import FrequencyRecord
 from ..data.parts import Difference, Signal
 from ..data.quantities import checked_quantities
 from ..data.time_record import Record
-from ..diagnosis.coloured_noise import beside_coloured_noise
+from ..diagnosis.coloured_noise import beside_coloured_noise, is_white
 from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
 from ..excitation.excitation import examine
@@ -211,6 +211,8 @@ def under_either_hold(
     late = best is not None and best.free.delay_open and bool(best.free.delay.any())
     free = best.free if best is not None and late else free
     try:
+        if found.structure != "free" and is_white(free.projection):
+            return found  # noise is what is beside the free model, whatever a structure leaves
         whitened = beside_coloured_noise(free)
         if whitened is free:
             return found
@@ -637,7 +639,8 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
         [np.zeros(2 * n), *(part.ravel() for part in (unknown[0][rank], unknown[1][rank], unknown[2]))]
     )
     nothing = np.tile((fit.residues[rank] == 0).ravel(), 2)  # weights that are held at 0
-    held = np.concatenate([np.zeros(2 * n, bool), nothing, np.zeros(through.size, bool)])
+    still = np.all(fit.residues[rank] == 0, axis=(1, 2)) & (np.diag(found)[:n] == 0)  # poles that leave no trace
+    held = np.concatenate([np.tile(still, 2), nothing, np.zeros(through.size, bool)])
     absent = (order < 0) | ((lost > 0) & (np.diag(found) == 0)) | (hidden > 0) | held
     found[absent] = np.nan
     found[:, absent] = np.nan

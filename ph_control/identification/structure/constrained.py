@@ -230,6 +230,8 @@ class ConstrainedProjection(LinearProjection):
         """Coordinates that the data show, and the inverse of their Gram matrix."""
         kept = np.flatnonzero(np.diag(self.gram))
         gram = self.gram[np.ix_(kept, kept)]
+        if not len(kept):
+            return kept, gram
         lengths = np.sqrt(np.diag(gram))
         inner, failed = lapack.dpotri(lapack.dpotrf(gram / np.outer(lengths, lengths))[0])
         inner = np.triu(inner) + np.triu(inner, 1).T
