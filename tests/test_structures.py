@@ -51,6 +51,8 @@ def output(p, residues, through, motion, u):
 
 
 QUANTITIES = ("velocity", "displacement", "acceleration")
+# without losses nothing is fed through but to an accelerometer
+FELT = {"lossless": np.array([[0.0], [0.0], [1.0]])}
 TRUE = {
     "lossless": (1j * P.imag, np.array([[0.9, -0.6, 0.4], [0.5, 0.8, -0.7]])),
     "classical": (P, np.array([[0.9, -0.6, 0.4], [0.5, 0.8, -0.7]])),
@@ -69,7 +71,7 @@ def plant(kind, rng):
         more = rng.standard_normal((2, 3, 2)) + 1j * rng.standard_normal((2, 3, 2))
         more[:, 0, 1] = more[:, 1, 0]
         matrices = matrices + more
-    return p, factor(p, QUANTITIES) * matrices, rng.standard_normal((3, 2))
+    return p, factor(p, QUANTITIES) * matrices, FELT.get(kind, 1.0) * rng.standard_normal((3, 2))
 
 
 def recorded(kind, seed=0, noise=0.3):
@@ -109,7 +111,7 @@ def dense_minimum(kind, u, y, observed, scales, start):
         else:
             each = (parts[4][:10] + 1j * parts[4][10:]).reshape(2, 5)
             matrices = each[:, [[0, 1], [1, 2], [3, 4]]]
-        return p, factor(p, QUANTITIES) * matrices, parts[2].reshape(3, 2), motion
+        return p, factor(p, QUANTITIES) * matrices, FELT.get(kind, 1.0) * parts[2].reshape(3, 2), motion
 
     def left(x):
         p, residues, through, motion = model(x)
@@ -151,7 +153,7 @@ def test_minimum_is_that_of_all_unknowns_together(kind, gaps):
     variance = at.loss / (at.rows - at.unknowns)
     errors = np.sqrt(np.diag(variance * np.linalg.pinv(J.T @ J))[:count])
     assert np.allclose(np.sqrt(np.diag(fit.covariance)[:count]), errors, rtol=1e-3)
-    assert fit.parameters == J.shape[1] - 12
+    assert fit.parameters == np.count_nonzero(np.any(J, axis=0)) - 12
 
 
 @pytest.mark.parametrize("kind", ["lossless", "classical", "rank one", "reciprocal"])
