@@ -100,6 +100,14 @@ def test_files_and_pictures_have_the_background(tmp_path):
     assert phc.compare(unseen, result).fit_percent[0] > 99.0
 
 
+@pytest.mark.parametrize("entry", [(2, 0), (-1, 0), (0, 1), (0.0, 0), (0, [0]), (True, 0), (None, 0), ("y", 0)])
+def test_only_an_output_and_input_that_are_there_have_a_background(entry):
+    background = phc.ResponseBackground(np.ones((5, 2, 1)) + 0j, np.zeros((5, 2, 1)) + 0j, ("velocity", "velocity"))
+    assert background.entry(np.int64(1), 0).coefficients.shape == (5, 1, 1)
+    with pytest.raises(phc.StructureError, match=r"(output|input) is .*; it must be a whole number from 0 to"):
+        background.entry(*entry)
+
+
 @pytest.mark.parametrize("zeta", [0.0, 0.02])
 @pytest.mark.parametrize("lines", [12, 16, 24])
 @pytest.mark.parametrize("order", [0, 2, 3])

@@ -159,6 +159,11 @@ class ResponseBackground(Frozen):
         ResponseBackground
             The same terms with arrays of shape (5, 1, 1).
 
+        Raises
+        ------
+        StructureError
+            If there is no such output or input.
+
         Examples
         --------
         >>> import numpy as np, ph_control as phc
@@ -166,8 +171,11 @@ class ResponseBackground(Frozen):
         >>> phc.ResponseBackground(terms, 0 * terms, ("velocity", "velocity")).entry(1, 0).slope
         array([[7.+0.j]])
         """
-        part = np.s_[:, output : output + 1, input : input + 1]
-        return ResponseBackground(self.coefficients[part], self.stderr[part], (self.quantities[output],))
+        outputs, inputs = self.coefficients.shape[1:]
+        row = _checks.whole_number("output", output, 0, outputs - 1)
+        column = _checks.whole_number("input", input, 0, inputs - 1)
+        part = np.s_[:, row : row + 1, column : column + 1]
+        return ResponseBackground(self.coefficients[part], self.stderr[part], (self.quantities[row],))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
