@@ -82,7 +82,7 @@ INFINITE = re.compile(
     r"[Oo]ptimal.?[Dd]amping"
 )
 UNKNOWN = re.compile(
-    r"margin|[Ee]xcitation|read_|load|FittedExperiment|Result|[Cc]ompar|[Rr]esidual.?[Aa]nalysis|"
+    r"margin|[Ee]xcitation|read_|load|FittedExperiment|FittedChannels|Result|[Cc]ompar|[Rr]esidual.?[Aa]nalysis|"
     r"pem|prediction_error_fit|gradient_descent|order_selection|OrderSelection|[Ss]tabilisation|fit_many|FitTable|ModeTracks"
 )
 
