@@ -44,8 +44,8 @@ WAYS = {
         "#2c5aa0",
         [
             "identification.fit", "identification.data", "identification.search", "identification.regression",
-            "identification.search", "identification.uncertainty", "identification.excitation",
-            "identification.diagnosis", "identification.fit",
+            "identification.search", "identification.structure", "identification.uncertainty",
+            "identification.excitation", "identification.diagnosis", "identification.fit",
         ],
     ),
 }  # fmt: skip

@@ -31,7 +31,7 @@ np.savetxt("recording.csv", table, delimiter=",", header="time [s],force [N],vel
 # The model
 # ---------
 # Nothing but the table goes in: no order, no starting guess. The summary lists each mode with its standard errors, and
-# its last line says whether a lossless model describes the recording.
+# below them the structures that the data do not reject: a structure without losses among them.
 
 data = phc.read_csv("recording.csv", input="force", output="velocity")
 result = phc.pem(data)
@@ -76,7 +76,7 @@ for other in (k / 10, 10 * k):
 # %%
 # How sure is that, given the noise? The design is tried on models drawn from the distribution of the estimate.
 
-decays = [slowest_decay(phc.ph(modes), k) for modes in result.sample(100, rng=0)]
+decays = [slowest_decay(model, k) for model in result.sample_systems(100, rng=0)]
 print(f"slowest decay of 100 models that the recording allows: {min(decays):.4f} to {max(decays):.4f} 1/s")
 
 # %%

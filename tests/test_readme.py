@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import re
 import shlex
 import subprocess
@@ -32,6 +33,13 @@ def test_the_first_two_shell_blocks_are_one_line_each():
     assert first.count("\n") == second.count("\n") == 1
     assert first.startswith("python3 -m venv .venv && ") and first.rstrip().endswith(".venv/bin/ph-control demo")
     assert second.startswith("python3 -m venv .venv && ") and " && .venv/bin/python -m pytest " in second
+
+
+def test_the_first_plant_is_identified_as_the_readme_shows():
+    first = blocks("pycon")[0]
+    example = doctest.DocTestParser().get_doctest(first, {}, "README", None, None)
+    assert len(example.examples) >= 7
+    assert doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(example).failed == 0
 
 
 def test_the_python_code_runs_and_leaves_what_it_says(after_python):

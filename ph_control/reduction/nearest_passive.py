@@ -36,7 +36,7 @@ def nearest_passive(sys_or_result: Any, *, weight: Any = None, kind: str = "immi
 
     Parameters
     ----------
-    sys_or_result : control.StateSpace, control.TransferFunction, or DampedResult
+    sys_or_result : control.StateSpace, control.TransferFunction, or PEMResult
         Stable system with as many outputs as inputs, output k being the port variable of input k; or a fit with driving
         points (`ports`), of one input and one output without.
     weight : {'covariance', 'h2'} or (omega, weights), optional

@@ -1,4 +1,4 @@
-"""Results in files of versions before 0.3, in which lossless fits of one input and one output were of another class."""
+"""Results in files of earlier versions, in which lossless fits of one input and one output were of another class."""
 
 from __future__ import annotations
 
