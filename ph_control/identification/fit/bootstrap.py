@@ -18,7 +18,7 @@ from ..data.experiments import as_channels
 from ..regression.free import FreeProjection, GivenResidues, refine_free
 from ..regression.free_prediction import FittedChannels
 from ..regression.frequency_rows import FreeResponse, Term
-from ..regression.prediction import state_of
+from ..regression.prediction import ResponseBackground, state_of
 from ..regression.sections import PoleRegion
 from ..regression.time_rows import FreeRecord
 from ..search.free_search import Responses
@@ -55,6 +55,10 @@ class Bootstrap(Frozen):
         Constant added to each output in each experiment; 0 where none is estimated.
     failed : int
         Number of refits that did not converge, or ended with other kinds of poles.
+    background : ResponseBackground or None
+        What bands of gain and phase have beside the modes: that of the result.
+    delay : ndarray, shape (p,)
+        Delay of each output: that of the result, which refits keep.
 
     Notes
     -----
@@ -68,6 +72,8 @@ class Bootstrap(Frozen):
     initial_state: Array
     offset: Array
     failed: int
+    background: ResponseBackground | None
+    delay: Array
 
     def __len__(self) -> int:
         return len(self.poles) - self.failed
@@ -121,8 +127,9 @@ class Bootstrap(Frozen):
 
     @cached_property
     def stderr(self) -> Mapping[str, Any]:
-        """Standard deviation over the resamples, under the keys of the result's `stderr` that are estimated here."""
-        return self._statistic(lambda draws: np.std(draws, axis=0, ddof=1))
+        """Standard deviation over the resamples, under keys of the result's `stderr`; NaN for fewer than two."""
+        few = len(self) < 2
+        return self._statistic(lambda draws: np.full(draws.shape[1:], np.nan) if few else np.std(draws, axis=0, ddof=1))
 
     def interval(self, level: float = 0.95) -> Mapping[str, Any]:
         """Percentile intervals of the parameters.
@@ -169,7 +176,8 @@ class Bootstrap(Frozen):
         """The models that were refitted, with the bands of their responses; shapes are those of their residues."""
         kept, n = self._kept, self._modes
         shapes = self.residues[kept][:, :n, :, 0] if self.residues.shape[3] else np.zeros((len(self), n, 0), complex)
-        return ModalSamples(self.poles[kept], self.residues[kept], self.feedthrough[kept], shapes)
+        estimates = self.poles[kept], self.residues[kept], self.feedthrough[kept]
+        return ModalSamples(*estimates, shapes, self.background, self.delay)
 
 
 class Resampled:
@@ -242,7 +250,8 @@ class Resampled:
         nothing = [np.full(np.shape(part), np.nan, np.asarray(part).dtype) for part in _parts(self)]
         each = [_parts(_drawn(self, *one)) if one else nothing for one in found]
         poles, residues, through, r, states, offsets = (np.stack(one) for one in zip(*each, strict=True))
-        return Bootstrap(poles, residues, through, r, states, offsets, sum(not one for one in found))
+        failed = sum(not one for one in found)
+        return Bootstrap(poles, residues, through, r, states, offsets, failed, self.background, self.delay)
 
 
 def _parts(result: Any) -> tuple[NDArray[Any], ...]:
@@ -307,7 +316,7 @@ class _Refit:
         halves = np.where(result.poles.imag == 0, 0.5, 1.0)[:, None, None] * result.residues
         given = GivenResidues(at, layout.joined(halves, result.feedthrough, at.has_feedthrough) if m else at.shared)
         # residuals are smaller than the noise by the parameters that were fitted to it
-        factor = np.sqrt(at.rows / max(1, at.rows - at.unknowns))
+        factor = np.sqrt(at.rows / max(given.loss, np.finfo(float).tiny))
         predictions, noise = given.predictions(), []
         for one, predicted in zip(rows, predictions, strict=True):
             left = (_target(one) - predicted)[:, one.observed] * _weight(one)
