@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from control import FrequencyResponseData, TimeResponseData
@@ -161,17 +161,18 @@ def _listed(labels: Labels) -> str:
     return ", ".join(map(repr, labels[:8])) + ", ..." * (len(labels) > 8) or "no names"
 
 
-def several(one: Any) -> Recording | ResponseMatrix:
+@overload
+def several(data: Record | Recording) -> Recording: ...
+@overload
+def several(data: Any) -> Recording | ResponseMatrix: ...
+def several(data: Any) -> Recording | ResponseMatrix:
     """The same data with lists of channels."""
-    if isinstance(one, FrequencyRecord):
-        return ResponseMatrix(
-            one.omega, one.response[None, None], one.weights[None, None], one.input_labels, one.output_labels,
-            one.title, one.time_unit,
-        )  # fmt: skip
-    if not isinstance(one, Record):
-        return one
-    u = one.u[None] if one.driven else np.zeros((0, one.samples))
-    return Recording(one.clock, one.dt, u, one.y[None], one.input_labels, one.output_labels, one.title, one.time_unit)
+    named = {name: getattr(data, name) for name in ("input_labels", "output_labels", "title", "time_unit")}
+    if isinstance(data, FrequencyRecord):
+        return ResponseMatrix(data.omega, data.response[None, None], data.weights[None, None], **named)
+    if not isinstance(data, Record):
+        return data
+    return Recording(data.clock, data.dt, data.u[None][: int(data.driven)], data.y[None], **named)
 
 
 def recording_of_pair(u: Any, y: Any, dt: Any, output_needed: bool = True) -> Recording:

@@ -990,8 +990,8 @@ class FreePath:
             have, need = "modes have" if order > 1 else "mode has", self.search.unknowns(1) + len(self.counts)
             remedy = f"the largest order for these data is {self.carried}"
             raise IdentificationError(
-                f"{_checks.shown(order)} {have} {_checks.shown(unknowns)} unknowns in all channels, more than the {samples} observed "
-                f"samples can carry; {remedy if self.carried else f'a mode needs at least {need}'}"
+                f"{_checks.shown(order)} {have} {_checks.shown(unknowns)} unknowns in all channels, more than the "
+                f"{samples} observed samples can carry; {remedy if self.carried else f'a mode needs at least {need}'}"
             )
 
     # --- models

@@ -337,10 +337,10 @@ def constrained(
         end = found.projection
     known = end.x[: coordinates.size]
     shapes, participation = coordinates.shapes(known) if isinstance(coordinates, ShapeCoordinates) else (None, None)
+    parameters = coordinates.dof - end.deficiency + (0 if delays is None else delays.count)
     return StructuredFit(
         hypothesis, STRUCTURES[hypothesis], end.p, end.residues, end.feedthrough, shapes, participation, end.loss,
-        coordinates.dof - end.deficiency + (0 if delays is None else delays.count), variance, cast(GivenResidues, end.data),
-        found.converged, end, end.delays,
+        parameters, variance, cast(GivenResidues, end.data), found.converged, end, end.delays,
     )  # fmt: skip
 
 

@@ -247,8 +247,9 @@ def _answer_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules) -> 
     found = model.predict(replace(data, u=u, y=y, input_labels=model.input_labels), initial_state=state)
     answer = np.reshape(found.outputs, (len(outputs), -1))[outputs]
     answer = answer[0] if isinstance(record, Record) else answer
-    own = place is not None
-    return Simulation(answer, lambda: _own_directions(model, place) if own else _no_directions(record), own)
+    return Simulation(
+        answer, lambda: _no_directions(record) if place is None else _own_directions(model, place), place is not None
+    )
 
 
 def _own_directions(model: PEMResult, place: int) -> Directions:
