@@ -1236,7 +1236,7 @@ class FreePath:
         So many as `lags` that have become pairs of complex poles may be broad.  Nothing is doubted of a model that
         reproduces the data to rounding.
         """
-        if self.is_exact(model):
+        if not len(model.p) or self.is_exact(model):
             return True
         broad = int(np.sum(_broad(model.p))) > lags
         return not patching(model.at, self.search.crowding) and not broad and not self.grows(model)
