@@ -216,10 +216,10 @@ def under_either_hold(
         whitened = beside_coloured_noise(free)
         if whitened is free:
             return found
-        rival = None if free.rival is None else beside_coloured_noise(free.rival)
     except KeyboardInterrupt:
         return cut_short(found)
-    return _chosen(replace(whitened, rival=rival), request, findings)[1]
+    whitened = replace(whitened, held_otherwise=free.held_otherwise).with_rival(beside_coloured_noise)
+    return _chosen(whitened, request, findings)[1]
 
 
 def _chosen(
@@ -236,7 +236,7 @@ def _chosen(
         return None, structured(replace(free, interrupted=True), request, findings)
     try:
         best = _of_either_hold(best, request)
-        best = _with_delay(best, free.rival if best.free is free else free, request, with_delay)
+        best = _with_delay(best, lambda: free.rival if best.free is free else free, request, with_delay)
     except KeyboardInterrupt:
         return None, cut_short(_result(*best.parts, request, _beside(findings, best.free)))
     return best, _result(*best.parts, request, _beside(findings, best.free))
@@ -265,8 +265,7 @@ def _beside(findings: tuple[Finding, ...], free: FreeFit) -> tuple[Finding, ...]
 def _of_either_hold(first: _Chosen, request: Request) -> _Chosen:
     """The structure under the hold with which it is simpler, or likelier."""
     free = first.free
-    settled = STRUCTURES[:2] if request.structure == "auto" else ("free",)
-    if free.rival is None or first.fit.structure in settled:
+    if request.structure == "free" or _stands(first, request) or free.rival is None:
         return first
     rival = replace(free.rival, findings=free.findings)
     if request.structure == "auto":
@@ -282,10 +281,12 @@ def _of_either_hold(first: _Chosen, request: Request) -> _Chosen:
     return second if logliks[1] > logliks[0] + TUNING.sure else first
 
 
-def _with_delay(best: _Chosen, other: FreeFit | None, request: Request, with_delay: WithDelay | None) -> _Chosen:
+def _with_delay(
+    best: _Chosen, other: Callable[[], FreeFit | None], request: Request, with_delay: WithDelay | None
+) -> _Chosen:
     """The structure with delays of the outputs, where these explain more; those of whole samples are refined.
 
-    The `other` fit has the inputs held otherwise.
+    `other` makes the fit with the inputs held otherwise.
     """
     free = best.free
     if not (free.delay_open and free.order and free.projection.inputs) or free.interrupted:
@@ -296,7 +297,7 @@ def _with_delay(best: _Chosen, other: FreeFit | None, request: Request, with_del
     if stands:
         return _refined(best, best.fit.hypothesis, request)
     hypothesis = "classical" if request.structure == "auto" else request.structure
-    trials = [_delayed(one, best, hypothesis, request, False) for one in (free, other) if one is not None]
+    trials = [_delayed(one, best, hypothesis, request, False) for one in (free, other()) if one is not None]
     trial = min((one for one in trials if one is not None), key=_cost, default=best)
     if _explains(trial, best):
         # modes too many may have stood for the delay
@@ -350,7 +351,7 @@ def _delayed(free: FreeFit, best: _Chosen, hypothesis: str, request: Request, se
     at, late = found.free, _Chosen(free, found.fit, best.tests)
     gain = free.delay_gain if settled else _gain(late, best)
     now = replace(
-        free, projection=at, unknowns=at.unknowns, delay=found.fit.delays.each, delay_gain=gain, rival=None,
+        free, projection=at, unknowns=at.unknowns, delay=found.fit.delays.each, delay_gain=gain, held_otherwise=None,
         delay_open=True, findings=best.free.findings,
     )  # fmt: skip
     return replace(late, free=now)
@@ -370,7 +371,7 @@ def _stands(best: _Chosen, request: Request) -> bool:
     if request.structure == "auto":
         return best.fit.structure in STRUCTURES[:2]
     at = best.free.projection
-    unknowns = len(at.x) + int(at.shown.sum())
+    unknowns = len(at.x) + int(at.shown.sum()) - at.deficiency
     return likelihood_test(at, best.fit, max(0, unknowns - best.fit.parameters)).p >= LEVEL
 
 

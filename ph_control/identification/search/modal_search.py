@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -98,8 +98,8 @@ class FreeFit(Frozen):
         Whether the search was ended before it had come to its end.
     findings : tuple of Finding
         What the data show beside the modes.
-    rival : FreeFit or None
-        These modes refined with the inputs held otherwise, if that is left to the data; no likelier than this fit.
+    held_otherwise : callable or None
+        Refines these modes with the inputs held otherwise, if that is left to the data: see `rival`.
     measured : FreeProjection or None
         The linear problem of the data as they are, where its noise is coloured and rows were made in which it is white.
     delay : ndarray, shape (outputs of the projection,)
@@ -122,7 +122,7 @@ class FreeFit(Frozen):
     rounding: bool
     interrupted: bool = False
     findings: tuple[Finding, ...] = ()
-    rival: FreeFit | None = None
+    held_otherwise: Callable[[], FreeFit] | None = None
     measured: FreeProjection | None = None
     delay: Array = field(default_factory=lambda: np.zeros(1))
     delay_gain: float = 0.0
@@ -169,7 +169,17 @@ class FreeFit(Frozen):
 
     def with_delay_open(self, is_open: bool) -> FreeFit:
         """The fit, and that under the other hold, with the delay left to the data or not."""
-        return replace(self, delay_open=is_open, rival=self.rival and replace(self.rival, delay_open=is_open))
+        return replace(self.with_rival(lambda rival: replace(rival, delay_open=is_open)), delay_open=is_open)
+
+    @property
+    def rival(self) -> FreeFit | None:
+        """These modes refined with the inputs held otherwise, if that is left to the data; made when first needed."""
+        return None if self.held_otherwise is None else self.held_otherwise()
+
+    def with_rival(self, change: Callable[[FreeFit], FreeFit]) -> FreeFit:
+        """The fit with a change of that under the other hold."""
+        made = self.held_otherwise
+        return self if made is None else replace(self, held_otherwise=cache(lambda: change(made())))
 
     @cached_property
     def covariance(self) -> Array:
@@ -454,9 +464,9 @@ def _of_long(
         at = path.refined(best.p, TUNING.rough, None)
         path.best = best = FreeModel(at, [], path.in_data(at.losses), path.search)
     whole = path.fit(best.p, len(best.p), False, channels, either_hold=intersample == "auto")
-    rival = whole.rival and replace(whole.rival, order_table=found.order_table)
+    whole = whole.with_rival(lambda rival: replace(rival, order_table=found.order_table))
     return replace(
-        whole, order_table=found.order_table, findings=found.findings, rival=rival, delay_gain=found.delay_gain
+        whole, order_table=found.order_table, findings=found.findings, delay_gain=found.delay_gain
     ).with_delay_open(found.delay_open)
 
 
@@ -1347,9 +1357,11 @@ class FreePath:
     def fit(
         self, start: ComplexArray, most: int, automatic: bool, channels: Sequence[Any], *, either_hold: bool
     ) -> FreeFit:
-        """The last minimum of a search; of two holds the likelier, the simpler where both say the same.
+        """The last minimum of a search, and what makes that under the other hold.
 
-        Of a search that is interrupted the best so far, if it has a mode.
+        Residues and a feedthrough of one hold say what others say of the other.  So free models tell the two apart only
+        where something is fed through: then the likelier comes first.  Of a search that is interrupted the best so far,
+        if it has a mode.
         """
         found: FreeFit | None = None
         try:
@@ -1361,21 +1373,29 @@ class FreePath:
             found = self.finished(self.best, channels, automatic)
             if not (either_hold and isinstance(self.plain, Records) and found.states and found.projection.inputs):
                 return found
-            # residues and feedthrough of one hold say what others say of the other: told apart only where some are 0
-            kept = replace(self.best, at=found.projection)
-            other = self.plain.held("foh" if found.intersample == "zoh" else "zoh")
-            path = FreePath(other, self.felt, self.criterion, self.reports, kept, self.real_poles, found.noise)
-            rival = path.finished(kept, channels, automatic)
+            held_otherwise = cache(partial(self._held_otherwise, found, self.best, self.plain, channels, automatic))
+            found = replace(found, held_otherwise=held_otherwise)
+            if found.projection.fed is not None and not found.projection.fed.any():
+                return found
+            rival = held_otherwise()
         except KeyboardInterrupt:
             if found is not None:
                 return replace(found, interrupted=True)
             if self.best is None or not len(self.best.p):
                 raise
             return self.finished(self.best, channels, interrupted=True)
-        rival = replace(rival, order_table=found.order_table)
         if found.criteria.bic - rival.criteria.bic > 2 * TUNING.sure:
-            found, rival = rival, found
-        return replace(found, rival=rival)
+            return replace(rival, held_otherwise=cache(lambda: found))
+        return found
+
+    def _held_otherwise(
+        self, fit: FreeFit, model: FreeModel, plain: FreeSearch, channels: Sequence[Any], automatic: bool
+    ) -> FreeFit:
+        """A fit refined with the inputs held otherwise."""
+        kept = replace(model, at=fit.projection)
+        other = plain.held("foh" if fit.intersample == "zoh" else "zoh")
+        path = FreePath(other, self.felt, self.criterion, self.reports, kept, self.real_poles, fit.noise)
+        return replace(path.finished(kept, channels, automatic), order_table=fit.order_table)
 
     def finished(
         self, model: FreeModel, channels: Sequence[Any], automatic: bool = False, interrupted: bool = False

@@ -79,7 +79,11 @@ def structure_tests(
     for hypothesis in testable(layout):
         if among is not None and hypothesis not in among:
             continue
-        if hypothesis == "passive":
+        stands = [test for test in tests if test.p >= LEVEL and hypothesis == "passive"]
+        if stands:
+            # lossless and classical models are passive
+            test = replace(max(stands, key=lambda test: test.p), hypothesis=hypothesis)
+        elif hypothesis == "passive":
             # the classical model is passive, and was fitted before
             classical = partial(_fit_of, fits, at, layout, "classical", region)
             fit = nearest_passive_fit(at, layout, classical, _BEYOND * parameters)
