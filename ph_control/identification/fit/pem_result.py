@@ -664,7 +664,12 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         _checks.choice("initial_state", name, ("estimate", "fitted", "final", "zero"))
         hold = Hold(record.dt, self.method, self.intersample)
         if name in ("fitted", "final"):
-            data = self._only("free_amplitudes")
+            if len(self.experiments) > 1:
+                raise StructureError(
+                    f"this result was fitted to {len(self.experiments)} experiments, each with a motion of its own; "
+                    "use 'estimate' or 'zero'"
+                )
+            data: Any = self.experiments[0]
             if np.iscomplexobj(data.predicted):
                 raise StructureError(
                     "this fit is to a frequency response, which has no motion; use 'estimate' or 'zero'"

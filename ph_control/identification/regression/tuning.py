@@ -16,6 +16,7 @@ class Tuning:
     by_chance: float = 1e-3  # probability that noise alone shows such a mode anywhere in the band
     constant_by_chance: float = 1e-2  # that noise of one level is taken to grow with the gain
     white: float = 1e-3  # p-value below which residuals are not white
+    surely_white: float = 0.05  # p-value from which on what was fitted need not be taken into account
     lags: int = 20  # of the test of whiteness
     past_of_noise: int = (
         4  # samples of it that coloured noise depends on, at most: few, so that no mode passes for noise

@@ -26,12 +26,7 @@ from ...systems.port_hamiltonian import ph
 from ..data.channels import Recording, ResponseMatrix, several
 from ..data.frequency_record import FrequencyRecord, InFrequency
 from ..data.time_record import InTime, Record
-from ..diagnosis.fitted_directions import (
-    Directions,
-    of_record,
-    of_response,
-    same_data,
-)
+from ..diagnosis.fitted_directions import Directions, directions_of, same_data
 from ..fit.pem_result import PEMResult
 
 Kind = Record | FrequencyRecord | Recording | ResponseMatrix
@@ -236,7 +231,7 @@ def _answer_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules) -> 
             f"the record has the step {record.dt:.6g}, model {label!r} was fitted with method={model.method!r} at the "
             f"step {steps[0]:.6g}, and holds at that step only"
         )
-    data = several(record)
+    data: Any = several(record)
     outputs, inputs = _matching(model, label, data)
     # in the order of the model, and back
     u = np.zeros((len(inputs), data.samples))
@@ -246,6 +241,9 @@ def _answer_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules) -> 
     state = "estimate" if rules.initial_state == "zero" and not data.driven else rules.initial_state
     found = model.predict(replace(data, u=u, y=y, input_labels=model.input_labels), initial_state=state)
     answer = np.reshape(found.outputs, (len(outputs), -1))[outputs]
+    if state == "zero" and model.offsets.any():
+        # a constant is that of the sensor, whatever the plant does
+        answer = answer + np.nanmean(np.where(data.observed, data.y - answer, np.nan), axis=1, keepdims=True)
     answer = answer[0] if isinstance(record, Record) else answer
     return Simulation(
         answer, lambda: _no_directions(record) if place is None else _own_directions(model, place), place is not None
@@ -257,9 +255,7 @@ def _own_directions(model: PEMResult, place: int) -> Directions:
     data: Any = model.experiments[place]
     if isinstance(data.record, Recording | ResponseMatrix):
         return _no_directions(data.record)
-    if isinstance(data.record, FrequencyRecord):
-        return of_response(data, model)
-    return of_record(data, model)
+    return directions_of(data, model)
 
 
 # --- lossless systems ------------------------------------------------------------------------------------------------
