@@ -688,8 +688,7 @@ def _experiments(
 ) -> tuple[FittedChannels, ...]:
     """Predictions, free motions, offsets and backgrounds of each experiment, from the rows of its outputs."""
     n, found = len(at.p), []
-    predictions = at.predictions() if n or free.per_entry else [None] * len(at.experiments)
-    rows = iter(zip(at.experiments, at.own, predictions, range(len(predictions)), strict=True))
+    rows = iter(zip(at.experiments, at.own, at.predictions(), range(len(at.experiments)), strict=True))
     for one in free.channels:
         p, m, outputs = len(one.output_labels), len(one.input_labels), len(free.scales)
         in_time = isinstance(one, Recording)
@@ -715,10 +714,8 @@ def _experiments(
                 offsets[which], drifts[which] = scale * part.offset_at_start(own)
                 if part.offset:
                     errors[which] = scale * [np.sqrt(spread[-1, -1]) for spread, _ in _own_spreads(at, fit, place)]
-                values = None if values is None else part.placed(values)
-            if values is None:
-                predicted[which] = offsets[which, None]
-            elif len(which) == outputs:
+                values = part.placed(values)
+            if len(which) == outputs:
                 predicted = np.multiply(values, scale[:, None], out=values)
             else:
                 predicted[which] = values * scale[:, None]

@@ -715,7 +715,8 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         """Outputs from free motions (n + r,) or (n + r, p)."""
         hold, outputs = Hold(record.dt, self.method, self.intersample), len(self.output_labels)
         forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold, self.delay)
-        motion = np.broadcast_to(motion.reshape(len(self.poles), -1), (len(self.poles), outputs))
+        motion = motion.reshape(len(self.poles), -1) if motion.size else np.zeros((len(self.poles), 1), complex)
+        motion = np.broadcast_to(motion, (len(self.poles), outputs))
         return forced + moved_freely(self.poles, motion, hold, record.samples, unknown_samples(self.delay, record.dt))
 
 

@@ -102,8 +102,7 @@ def _errors(path: Any, p: ComplexArray, channels: Experiments, ahead: Sequence[M
 def _foretold(at: FreeProjection) -> list[tuple[Any, NDArray[Any]]]:
     """Outputs of each of the rows, and what they are at all samples, also where nothing was measured."""
     n, found = len(at.p), []
-    known = at.predictions() if n else [own[-1:].T * 1.0 for own in at.own]  # without modes a constant
-    for rows, own, values in zip(at.experiments, at.own, known, strict=True):
+    for rows, own, values in zip(at.experiments, at.own, at.predictions(), strict=True):
         if isinstance(rows, FreeResponse):
             everywhere = replace(rows, observed=np.ones(len(rows.frequencies), bool))
             weights = np.concatenate([own, at.shared[: 2 * n + rows.through, rows.outputs]])

@@ -1078,9 +1078,12 @@ class FreePath:
         return self._shown[1]
 
     def through_orders(self, start: ComplexArray, most: int) -> None:
-        """Let modes join one by one from a start up to a number of them; the table has the best of each order."""
+        """Let modes join one by one from a start up to a number of them; the table has the best of each order.
+
+        The path ends where the data are reproduced to rounding.
+        """
         model: FreeModel | None = self.reweighted(self.model(start))
-        while model is not None and _modes(model.p) < most:
+        while model is not None and _modes(model.p) < most and np.any(model.losses > self.floors):
             model = self.with_modes(model, _modes(model.p) + 1, False)
 
     def chosen(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
@@ -1414,7 +1417,7 @@ class FreePath:
             fed = self.felt | self.stands_out(at)
             if not fed.all():
                 at, losses = self.settled(at.p, fed, interrupted)
-        if self.constant_open and not interrupted and len(at.p):
+        if self.constant_open and not interrupted:
             constants = sum(len(rows.outputs) for rows in self.search.data)
             if _evidence_of_constants(at) < max(2 * TUNING.likely, constants * np.log(at.rows)):
                 self.drop_constants(losses)
