@@ -101,8 +101,8 @@ def _errors(path: Any, p: ComplexArray, channels: Experiments, ahead: Sequence[M
 
 def _foretold(at: FreeProjection) -> list[tuple[Any, NDArray[Any]]]:
     """Outputs of each of the rows, and what they are at all samples, also where nothing was measured."""
-    n, found = len(at.p), []
-    for rows, own, values in zip(at.experiments, at.own, at.predictions(), strict=True):
+    n, found, predictions = len(at.p), [], list[Any](at.predictions())
+    for rows, own, values in zip(at.experiments, at.own, predictions, strict=True):
         if isinstance(rows, FreeResponse):
             everywhere = replace(rows, observed=np.ones(len(rows.frequencies), bool))
             weights = np.concatenate([own, at.shared[: 2 * n + rows.through, rows.outputs]])
