@@ -173,7 +173,7 @@ def _of_modes(free: FreeFit, p: ComplexArray) -> FreeFit:
     measured = free.measured and FreeProjection(free.measured.experiments, projection.p, fed)
     loglik = free.criteria.loglik - 0.5 * projection.rows * float(np.log(projection.loss / free.projection.loss))
     return replace(
-        free, projection=projection, measured=measured, unknowns=projection.unknowns, rival=None,
+        free, projection=projection, measured=measured, unknowns=projection.unknowns, held_otherwise=None,
         criteria=replace(free.criteria, loglik=loglik),
     )  # fmt: skip
 
