@@ -26,6 +26,7 @@ from ..regression.tuning import TUNING
 from .circumstances import autoregression, correlations
 
 _ROUNDS = 3  # of the local problem, weighted with the pole found
+_LEAST = 3  # bins: half-width of the narrowest window
 _EVERYWHERE = 1 << 12  # bins up to which all are centres of windows, and rows; above, those where most is left
 _PEAKS = 200
 _ABOUNDING = 10  # points, and four for each pole: with fewer a real pole may stand for modes outside the band
@@ -310,14 +311,18 @@ class Channels:
     def modes(self, left: ComplexArray) -> tuple[ComplexArray, Array]:
         """Poles of modes that explain something of what is left of outputs (q, K), and how much; O(q T).
 
-        Each within a window, in windows of several widths everywhere.
+        Each within a window, in windows of several widths everywhere; bins of any decay in records too short for one.
         """
+        if (self._last - 1) // 2 < _LEAST:
+            bins = np.arange(1, self._last + 1)
+            p = np.asarray(np.nan + 2j * np.pi / (self.length * self.hold.h) * bins, complex)
+            return p, np.asarray(2.0 / self.length * np.sum(np.abs(left[:, bins]) ** 2, axis=0))
         return _joined([self._local(left, half, centres) for half, centres in _windows(left, 1, self._last)])
 
     def peak(self, left: ComplexArray, place: float) -> tuple[float, float]:
         """Half-width of one mode within the narrowest window about a place (in bins), and its share of the power."""
         half = min(TUNING.widths_of_peaks[0], (self._last - 1) // 2)
-        if half < 3:
+        if half < _LEAST:
             return 0.0, 0.0
         centre = int(np.clip(np.rint(place), half + 1, self._last - half))
         p, gain = self._local(left, half, np.array([centre]))
@@ -376,7 +381,7 @@ def _windows(left: ComplexArray, first: int, count: int) -> Iterator[tuple[int, 
         if 4 * half > count and half > TUNING.widths_of_peaks[0]:
             return
         half = min(half, (count - 1) // 2)
-        if half < 3:
+        if half < _LEAST:
             return
         centres = first + np.arange(half, count - half, max(1, half // 6))
         if count > _EVERYWHERE:
