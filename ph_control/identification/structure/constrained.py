@@ -212,8 +212,9 @@ class ConstrainedProjection(LinearProjection):
 
     @cached_property
     def deficiency(self) -> int:
-        """Number of combinations of the coordinates that leave no trace in the data."""
-        kept = np.flatnonzero(np.diag(self.gram))
+        """Number of combinations of the coordinates that leave no trace in the data, for given delays."""
+        # what is fed through makes up for a delay within a sample
+        kept = np.flatnonzero(np.diag(self.gram)[: len(self._model)])
         lengths = np.sqrt(np.diag(self.gram)[kept])
         seen = np.linalg.eigvalsh(self.gram[np.ix_(kept, kept)] / np.outer(lengths, lengths))
         return int(np.sum(seen <= tolerance(self._problem.samples, len(kept)) * seen.max(initial=0.0)))

@@ -70,8 +70,8 @@ def structure_tests(
     given the constraints that hold the nearest passive model is that of as many squares as these are; no such model is
     held where the free one is passive, and the hypothesis stands.  So a passive plant is rejected at the level of the
     test at most, and in the middle of passive models never (Wollan and Dykstra 1986; Susko 2013).  Where constraints
-    are curved, their curvature counts as well.  Lossless and classical models are passive: it is not rejected before
-    these, and has their probability where that is larger.
+    are curved, their curvature counts as well.  Lossless models are classical, and both are passive, reciprocal and of
+    rank one: none of these is rejected before them, and has their probability where that is larger.
     """
     fits = {"free": constrained(at, layout, "free", region)}
     parameters = fits["free"].parameters
@@ -88,10 +88,10 @@ def structure_tests(
             classical = partial(_fit_of, fits, at, layout, "classical", region)
             fit = nearest_passive_fit(at, layout, classical, _BEYOND * parameters)
             test, fits[hypothesis] = likelihood_test(at, fit, parameters - fit.parameters), fit
-            test = replace(test, p=max(one.p for one in [test, *tests]))
         else:
             test, fits[hypothesis] = _tested(at, layout, hypothesis, region, parameters)
-        tests.append(test)
+        # lossless and classical models are of all wider kinds
+        tests.append(replace(test, p=max(test.p, *(one.p for one in tests if one.hypothesis in SIMPLEST_FIRST), 0.0)))
     return StructureTests(tuple(tests), fits)
 
 
