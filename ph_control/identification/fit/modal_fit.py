@@ -11,7 +11,7 @@ import numpy as np
 
 from ... import _checks
 from ..._display import counted, p_value
-from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask, NDArray
 from ..._units import common_unit
 from ...exceptions import StructureError
 from ...modal.discretization import Hold
@@ -41,7 +41,7 @@ from ..regression.prediction import (
 )
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from ..search.circumstances import REJECTED, Cause, Finding, sentence_of, worth_telling
+from ..search.circumstances import HOLDS, REJECTED, Cause, Finding, sentence_of
 from ..search.modal_search import FreeFit, feedthrough_of, free_fit
 from ..search.progress import Callback, reporter
 from ..search.starting_poles import poles_of
@@ -57,6 +57,8 @@ from .scaled_shapes import ModeShapes, shape_errors
 
 _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it
 _COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
+_HALF = 0.05  # of half a sample: what a delay may differ from it by
+_OPPOSED = 0.7  # cosine of the angle within which a residue points against the force
 _CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
 
 Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
@@ -64,7 +66,7 @@ Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
 
 @dataclass(frozen=True)
 class Request:
-    """What a fit is to assume: structure, driving points, quantities of the outputs.
+    """What a fit is to assume: structure, driving points, quantities of the outputs, and the largest number of modes.
 
     `assumed` says whether the port is the one that one input and one output have by default.
     """
@@ -72,6 +74,7 @@ class Request:
     structure: str
     ports: tuple[tuple[int, int], ...]
     quantities: tuple[str, ...]
+    most: int
     assumed: bool = False
 
 
@@ -140,7 +143,9 @@ def fit_channels(
     free = search(order, start=start, moving=options.moving and not resting)
     if resting and free.order and not free.interrupted:
         other = search(free.order, start=free.projection.p, moving=True)
-        if other.criteria.bic < free.criteria.bic:
+        if other.interrupted:
+            free = replace(free, interrupted=True)
+        elif other.criteria.bic < free.criteria.bic:
             resting = False
             free = search(order, start=start, moving=True)
 
@@ -265,6 +270,19 @@ def _beside(findings: tuple[Finding, ...], free: FreeFit) -> tuple[Finding, ...]
 
 
 def _of_either_hold(first: _Chosen, request: Request) -> _Chosen:
+    """The structure under the hold with which it is simpler, or likelier; that the input is not held is a finding."""
+    best = _under_likelier_hold(first, request)
+    if best.free.intersample == "zoh" or first.free.rival is None:
+        return best
+    gain = _gain(best, first)
+    if best is first:
+        gain = 0.5 * (first.free.rival.criteria.bic - first.free.criteria.bic)
+    found = Finding(Cause.HOLD, (float(HOLDS.index("foh")),), float(gain))
+    others = (one for one in best.free.findings if one.cause is not Cause.HOLD)
+    return replace(best, free=replace(best.free, findings=(*others, found)))
+
+
+def _under_likelier_hold(first: _Chosen, request: Request) -> _Chosen:
     """The structure under the hold with which it is simpler, or likelier."""
     free = first.free
     if request.structure == "free" or _stands(first, request) or free.rival is None:
@@ -277,10 +295,7 @@ def _of_either_hold(first: _Chosen, request: Request) -> _Chosen:
         if chosen.structure not in simpler and (first.fit.structure != "free" or gain <= 2 * TUNING.sure):
             return first
     second = _Chosen(rival, *_structure_of(rival, request))
-    if request.structure == "auto":
-        return second
-    logliks = [_result(*one.parts, request, ()).loglik for one in (first, second)]
-    return second if logliks[1] > logliks[0] + TUNING.sure else first
+    return second if request.structure == "auto" or _gain(second, first) > TUNING.sure else first
 
 
 def _with_delay(
@@ -304,9 +319,11 @@ def _with_delay(
     if _explains(trial, best):
         # modes too many may have stood for the delay
         anew = trial.free if with_delay is None else with_delay(trial.free.delay[_places(free)])
+        if anew.interrupted:
+            raise KeyboardInterrupt
         anew = replace(anew, findings=free.findings, delay_gain=trial.free.delay_gain)
         frees = [trial.free, anew.with_delay_open(True)]
-        found = [_in_rows_of(one, request) for one in frees if one.order and not one.interrupted]
+        found = [_in_rows_of(one, request) for one in frees if one.order]
         chosen = min(found, key=_cost)
         if _explains(chosen, best) and (_stands(chosen, request) or _gain(chosen, best) > TUNING.sure):
             return chosen
@@ -459,7 +476,7 @@ def request_of(channels: Channels, structure: str, ports: Any, quantity: Any, op
     pairs = ((0, 0),) if assumed else () if ports is None else _checks.port_pairs(ports, outputs, inputs)
     if structure == "passive" and not pairs:
         raise StructureError("structure='passive' needs driving points: name them, ports=[(output, input), ..]")
-    return Request(structure, pairs, quantities, assumed)
+    return Request(structure, pairs, quantities, options.largest, assumed)
 
 
 def _lossless_port(structure: str, shape: tuple[int, int], quantities: tuple[str, ...], options: Options) -> str:
@@ -512,6 +529,12 @@ def _judged(
     findings: tuple[Finding, ...],
 ) -> PEMResult:
     """Parameters, experiments and judgement of a fit."""
+    refused = any(test.p < LEVEL for test in tests if test.hypothesis == request.structure)
+    if refused:
+        # who insists on it gets the errors of what it leaves
+        rows_to_spare = max(1, free.projection.rows - free.projection.unknowns)
+        fit = replace(fit, variance=max(fit.variance, fit.loss / rows_to_spare))
+    rounding = free.rounding and not refused
     rank = np.lexsort((np.abs(fit.p), fit.p.imag == 0))
     poles = fit.p[rank]
     modes = int(np.sum(poles.imag != 0))
@@ -546,13 +569,13 @@ def _judged(
     model = FittedModel(
         poles, residues, fit.feedthrough, covariance, delay, request.quantities, free.method, free.intersample
     )
-    whiteness = 1.0 if free.rounding else _whiteness(experiments, shown if single else (), model)
+    whiteness = 1.0 if rounding else _whiteness(experiments, shown if single else (), model)
     fitted = joint_percent(shares_left(predicted))
-    told = (one for one in findings if one.cause is not Cause.HOLD)  # of lossless models
     found_late = _lateness(free, delay, delay_stderr) if free.delay_open else ()
-    findings = (*told, *found_late, *(_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL))
-    findings = (*findings, *_saturated(experiments))
-    if whiteness >= WHITE and not (free.rounding or free.interrupted):
+    rejections = [_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL]
+    findings = (*(_in_model(one, experiments) for one in findings), *found_late, *rejections)
+    findings = (*findings, *_reversed(free, request), *_saturated(experiments))
+    if whiteness >= WHITE and not (rounding or free.interrupted):
         findings = (*findings, *_outliers(experiments, spare))
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     errors_of_decay = np.append(spread[len(poles) :][:modes] * np.abs(poles[:modes]), spread[modes : len(poles)])
@@ -561,7 +584,6 @@ def _judged(
     slow = np.flatnonzero(np.abs(poles[:modes]) * length < 2 * np.pi * (1 - 1e-6))
     far = any(one.cause is Cause.OUTLIERS for one in findings)
     blind = bool(fit.point.deficiency)
-    refused = any(test.p < LEVEL for test in tests if test.hypothesis == request.structure)
     outcome = _outcome(free, fitted, whiteness, spare, far or blind, refused)
     return PEMResult(
         structure=fit.structure,
@@ -594,7 +616,7 @@ def _judged(
         success=fit.converged and not free.interrupted,
         outcome=outcome,
         message=_message(
-            free, growing, slow, tests, findings, shapes, fitted, whiteness, outcome,
+            free, growing, slow, tests, findings, shapes, fitted, whiteness, outcome, spare, request.most,
             _what_is_blind(shown, poles, residues, request, free) if blind else "",
         ),
         intersample="zoh" if free.per_entry else free.intersample,
@@ -667,9 +689,19 @@ def _lateness(free: FreeFit, delay: Array, errors: Array) -> tuple[Finding, ...]
     if not delay.any():
         return ()
     if np.ptp(delay) == 0:
-        return (Finding(Cause.DELAY, (float(delay[0]), float(errors[0])), free.delay_gain),)
+        found = Finding(Cause.DELAY, (float(delay[0]), float(errors[0])), free.delay_gain)
+        return (found, *_of_other_hold(free, float(delay[0]), float(errors[0])))
     each = zip(labels, delay.tolist(), errors.tolist(), strict=True)
     return tuple(Finding(Cause.DELAY, (late, error), free.delay_gain, label) for label, late, error in each if late)
+
+
+def _of_other_hold(free: FreeFit, delay: float, error: float) -> tuple[Finding, ...]:
+    """Name the other hold where all outputs come half a sample early, as a linear input does after one that is held."""
+    other = "foh" if free.intersample == "zoh" else "zoh"
+    half = (0.5 if other == "zoh" else -0.5) * getattr(free.channels[0], "dt", np.nan)
+    if not abs(delay - half) < _HALF * abs(half) + 2 * np.nan_to_num(error):
+        return ()
+    return (Finding(Cause.HOLD, (float(HOLDS.index(other)),), free.delay_gain),)
 
 
 def _in_data(fit: StructuredFit, free: FreeFit) -> FreeProjection:
@@ -713,7 +745,7 @@ def _experiments(
                 motion[:, which] = 2 * scale * part.motion_at_start(at.p, residues, own)[rank]
                 offsets[which], drifts[which] = scale * part.offset_at_start(own)
                 if part.offset:
-                    errors[which] = scale * [np.sqrt(spread[-1, -1]) for spread, _ in _own_spreads(at, fit, place)]
+                    errors[which] = scale * _roots([spread[-1, -1] for spread, _ in _own_spreads(at, fit, place)])
                 values = part.placed(values)
             if len(which) == outputs:
                 predicted = np.multiply(values, scale[:, None], out=values)
@@ -818,6 +850,12 @@ def _shapes(
     )
 
 
+def _roots(variances: ArrayLike) -> Array:
+    """Standard errors; NaN where so little is shown that rounding leaves less than nothing."""
+    each = np.asarray(variances, float)
+    return np.sqrt(np.where(each >= 0, each, np.nan))
+
+
 def _own_spreads(at: FreeProjection, fit: StructuredFit, experiment: int) -> list[tuple[Array, Array]]:
     """Covariance of what belongs to an experiment, for each output, and with the poles and shared unknowns of it."""
     every = fit.covariance if len(fit.p) else at.covariance(fit.variance)
@@ -886,7 +924,7 @@ def _state_errors(
         else:
             ((spread, crossed),) = _own_spreads(at, fit, rows)
             if not lossless:
-                errors = 2 * scale * np.sqrt(np.diag(spread)[: 2 * n].reshape(2, n).T)[rank]
+                errors = 2 * scale * _roots(np.diag(spread)[: 2 * n].reshape(2, n).T)[rank]
                 kept = np.stack([np.ones(n, bool), fit.p[rank].imag != 0], axis=1)
                 found.append(errors[kept])
             else:
@@ -922,6 +960,31 @@ def _modal_state_errors(
 # --- the judgement ---------------------------------------------------------------------------------------------------
 
 
+def _in_model(finding: Finding, experiments: Sequence[FittedChannels]) -> Finding:
+    """A finding of constants or drifts with the values that the model has."""
+    if finding.cause not in (Cause.CONSTANT, Cause.DRIFT):
+        return finding
+    each = [one.offsets if finding.cause is Cause.CONSTANT else one.drifts for one in experiments]
+    kept = [values[one.record.observed.any(axis=-1)] for values, one in zip(each, experiments, strict=True)]
+    return replace(finding, values=tuple(np.concatenate(kept).tolist()))
+
+
+def _reversed(free: FreeFit, request: Request) -> list[Finding]:
+    """Sensors at driving points that point against the force, by the residues of all modes in units of velocity."""
+    at, found = free.projection, list[Finding]()
+    if not (at.inputs and free.order) or at.deficiency:
+        return found
+    residues, _ = _layout(free, request).split(at.shared, len(at.p))
+    modes, labels = at.p.imag > 0, free.channels[0].output_labels
+    for output, driven in request.ports:
+        power = POWERS.get(request.quantities[output])
+        if power is not None:
+            along = residues[modes, output, driven] * at.p[modes] ** (1 - power)
+            if np.all(along.real < -_OPPOSED * np.abs(along)):
+                found.append(Finding(Cause.POLARITY, (), 0.0, labels[output]))
+    return found
+
+
 def _rejection(test: HypothesisTest) -> Finding:
     return Finding(REJECTED[test.hypothesis], (test.p, float(test.dof)), 0.5 * test.likelihood_ratio)
 
@@ -933,7 +996,7 @@ def _outcome(free: FreeFit, fitted: float, whiteness: float, spare: int, far: bo
     if not free.states:
         return Outcome.NOTHING
     if refused:
-        return Outcome.DOUBTFUL if fitted >= GOOD_FIT else Outcome.NOT_DESCRIBED
+        return Outcome.DOUBTFUL if fitted >= GOOD_FIT or whiteness >= WHITE else Outcome.NOT_DESCRIBED
     if whiteness < WHITE:
         return Outcome.COLOURED if fitted >= GOOD_FIT else Outcome.DOUBTFUL
     if far:
@@ -964,7 +1027,7 @@ def _what_is_blind(
 
 def _message(
     free: FreeFit, growing: Indices, slow: Indices, tests: tuple[HypothesisTest, ...], findings: tuple[Finding, ...],
-    shapes: ModeShapes, fitted: float, whiteness: float, outcome: Outcome, blind: str,
+    shapes: ModeShapes, fitted: float, whiteness: float, outcome: Outcome, spare: int, most: int, blind: str,
 ) -> str:  # fmt: skip
     """What the judgement rests on, in sentences."""
     if outcome is Outcome.NOTHING:
@@ -980,14 +1043,16 @@ def _message(
         if whiteness < WHITE and fitted < GOOD_FIT:
             why = f"the fit is {fitted:.0f} %, less than {GOOD_FIT:.0f} %, and what is left is no white noise"
         parts.append(f"Doubtful, as {why}.")
+        limited = free.order == most and all(one.cause is not Cause.LARGEST_ORDER for one in findings)
+        if fitted < GOOD_FIT and whiteness < WHITE and limited:
+            parts.append(f"A model of more than {counted(most, 'mode')} may fit better.")
         if fitted < GOOD_FIT and whiteness < WHITE and not any(len(one.input_labels) for one in free.channels):
             parts.append(
                 "This is no free decay if forces that were not measured, such as wind or traffic, act all along: "
                 "record a decay or the forces, or use a program for ambient excitation."
             )
     unit = free.channels[0].time_unit
-    told = [one for one in findings if worth_telling(one, free.intersample)]
-    parts += [sentence_of(one, free.intersample, unit, removed=True) for one in told]
+    parts += [sentence_of(one, free.intersample, unit, removed=True) for one in findings]
     kept = [one for one in tests if one.p >= LEVEL and one.dof]
     if kept:
         parts.append("Not rejected: " + ", ".join(f"{one.hypothesis} ({p_value(one.p)})" for one in kept) + ".")
@@ -1002,7 +1067,9 @@ def _message(
             if shapes.scaled.all()
             else "Mode shapes are unscaled, as no driving point was named: the largest entry is 1."
         )
-    if free.rounding:
+    if outcome is Outcome.UNJUDGED:
+        parts.append(f"There are only {counted(spare, 'sample')} more than unknowns, too few to judge the model.")
+    elif free.rounding and whiteness == 1:
         parts.append("The data are reproduced to rounding.")
     elif whiteness < WHITE:
         left = "something is left unexplained"

@@ -47,6 +47,7 @@ class Cause(Enum):
     OUTLIERS = "values far out of the noise"
     SATURATION = "an output that stays at an end of its range"
     WILD_LINES = "lines of a response far out of all others"
+    POLARITY = "a sensor that points against the force"
     HAMMER_NOISE = "noise of a hammer's force between its contacts"
     LARGEST_ORDER = "as many modes as the search may find"
     FEWER_MODES = "fewer modes than the order that was given"
@@ -178,12 +179,6 @@ def sampled_response(step: SampledModes, residues: NDArray[Any], through: float,
 # --- in words --------------------------------------------------------------------------------------------------------
 
 
-def worth_telling(finding: Finding, intersample: str) -> bool:
-    """Whether a finding is news: not that an input was held, as by default."""
-    default = finding.cause is Cause.HOLD and finding.gain >= TUNING.sure and HOLDS[int(finding.values[0])] == "zoh"
-    return not (default and intersample == "zoh")
-
-
 def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None, removed: bool = False) -> str:
     """What a finding says, and what to do about it; frequencies in Hz where the unit of time is known.
 
@@ -200,8 +195,6 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
         between = "held" if preferred == "zoh" else "linear"
         if preferred != intersample:
             return f"The data show an input that was {between} between samples ({certain}): intersample={preferred!r}."
-        if finding.gain < TUNING.sure:
-            return f"These data cannot tell an input held between samples from a linear one; it was taken as {between}."
         return f"The input between samples was {between} ({certain} over the other)."
     if finding.cause is Cause.DELAY and removed:
         late, error = values
@@ -224,6 +217,11 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
     if finding.cause in REJECTED.values():
         hypothesis = next(name for name, cause in REJECTED.items() if cause is finding.cause)
         return f"The data show {finding.cause.value}: they reject {hypothesis!r} ({p_value(values[0])})."
+    if finding.cause is Cause.POLARITY:
+        return (
+            f"The residues of {finding.output!r} at its driving point oppose the force in all modes: check the "
+            "polarity of the sensor, or whether it is where the force acts."
+        )
     if finding.cause is Cause.GAIN_NOISE:
         sizes = dict.fromkeys(f"{100 * one:.2g} %" for one in (min(values), max(values)))
         return (

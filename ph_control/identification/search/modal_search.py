@@ -314,6 +314,8 @@ def free_fit(
                 again = path.finished(path.in_its_noise(model) if found.noise else model, channels, automatic)
             else:
                 again = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
+            if again.interrupted:
+                raise KeyboardInterrupt
             return again.with_delay_open(delay is None)
 
         either = None if intersample == "auto" else intersample
@@ -1392,7 +1394,7 @@ class FreePath:
         return found
 
     def _held_otherwise(
-        self, fit: FreeFit, model: FreeModel, plain: Records, channels: Sequence[Any], automatic: bool
+        self, fit: FreeFit, model: FreeModel, plain: FreeSearch, channels: Sequence[Any], automatic: bool
     ) -> FreeFit:
         """A fit refined with the inputs held otherwise."""
         kept = replace(model, at=fit.projection)
