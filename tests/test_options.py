@@ -95,5 +95,3 @@ def test_a_map_that_does_not_give_one_result_each_is_refused(record, workers):
     _, u, y = record
     with pytest.raises(phc.StructureError, match="workers is to give one result for each of 5 items"):
         phc.pem((u, y), 2, dt=0.1).bootstrap(5, rng=1, workers=workers)
-    with pytest.raises(phc.StructureError, match="workers is to give one result for each of 4 items"):
-        phc.pem((u, -y), 3, dt=0.1, workers=workers)
