@@ -278,7 +278,8 @@ class Passivity:
         `x = (jw - A)^-1 B u` and `y` that of the adjoint.
         """
         A, B, C, D = self.given
-        X = resolvent.columns(1j * omega, B)
+        s = np.array([1j * omega])
+        X = resolvent.columns(s, B)[0]
         G = C @ X + D
         Phi = np.eye(len(G.T)) - G.conj().T @ G if self.scattering else G + G.conj().T
         if not np.isfinite(Phi).all():
@@ -286,7 +287,7 @@ class Passivity:
         k, U = np.linalg.eigh(Phi)
         u = U[:, 0]
         h = G @ u if self.scattering else u
-        x, y = np.abs(X @ u), np.abs(resolvent.rows(1j * omega, (h.conj() @ C)[None]))[0]
+        x, y = np.abs(X @ u), np.abs(resolvent.rows(s, (h.conj() @ C)[None]))[0, 0]
         u, h = np.abs(u), np.abs(h)
         entries = float(y @ (np.abs(A) @ x + np.abs(B) @ u) + h @ (np.abs(C) @ x + np.abs(D) @ u))
         whole = 2 * _SOLVER * resolvent.rounding * float(np.linalg.norm(x) * np.linalg.norm(y))

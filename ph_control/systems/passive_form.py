@@ -196,8 +196,8 @@ def loses_energy(sys: ct.StateSpace) -> bool:
         except LinAlgError:
             return False  # numbers at the end of the range of doubles
         solver = EliminationResolvent(A)
-        for point in 1j * rate * _BESIDE:
-            x, y = solver.columns(point, B), solver.rows(point, C)
+        points = 1j * rate * _BESIDE
+        for x, y in zip(solver.columns(points, B), solver.rows(points, C), strict=True):
             G, (x, y) = C @ x + D, (np.abs(x), np.abs(y))
             rounding = EPS * (y @ (np.abs(A) @ x + np.abs(B)) + np.abs(C) @ x + np.abs(D))
             if np.any(np.abs(G + G.conj().T) > _CERTAIN * len(A) * (rounding + rounding.T)):
@@ -333,9 +333,7 @@ class _GivenResponse:
         self.given, self.points = given, 1j * _band(np.asarray(poles, complex))
         resolvent = _resolvent(given.A)
         A, B, C = given.A, given.B, given.C
-        self.into, self.out = (
-            np.array([solve(s, M) for s in self.points]) for solve, M in ((resolvent.columns, B), (resolvent.rows, C))
-        )
+        self.into, self.out = resolvent.columns(self.points, B), resolvent.rows(self.points, C)
         self.values = C @ self.into + given.D
         x, y = np.abs(self.into), np.abs(self.out)
         moved = y @ (np.abs(A) @ x) + y @ np.abs(B) + np.abs(C) @ x
@@ -368,8 +366,7 @@ class _GivenResponse:
             if same_states:  # the difference of matrices that nearly agree, to first order
                 change = self.out @ ((A - given.A) @ self.into + B - given.B) + (C - given.C) @ self.into + D - given.D
             else:
-                resolvent = _resolvent(A)
-                change = np.array([C @ resolvent.columns(s, B) for s in self.points]) + D - self.values
+                change = C @ _resolvent(A).columns(self.points, B) + D - self.values
             off = np.max(np.abs(change) - self.rounding, axis=2, initial=0.0)
         clear = np.isfinite(off).all(axis=1)  # not at a pole
         return off[clear].max(axis=0, initial=0.0), np.abs(self.values[clear]).max(axis=(0, 2), initial=0.0)
