@@ -131,6 +131,11 @@ class Passivity:
             found = np.concatenate([np.abs(singular(*shift, level).imag) for shift in shifts])
         return np.asarray(found[np.isfinite(found)], float)
 
+    @cached_property
+    def singular(self) -> Array:
+        """Imaginary parts of the points at which `Phi` is singular."""
+        return self.singular_frequencies()
+
     def _shifts(self, level: float, lowest: float, highest: float) -> list[tuple[float, bool]]:
         """Points of the real axis, each amid the poles of some decades, and whether `Phi` is far from singular there.
 
@@ -209,7 +214,7 @@ class Passivity:
 
     def dense_grid(self, reach: float) -> Array:
         """Frequencies for a picture: spaced evenly in the logarithm, dense at resonances and at what is singular."""
-        poles, singular = self.modes.poles, self.singular_frequencies()
+        poles, singular = self.modes.poles, self.singular
         # beyond are zeros at infinity, and what rounding makes of them
         singular = singular[singular <= _FAR * np.abs(poles).max(initial=0.0)]
         marks = np.concatenate([np.abs(poles), singular, [0.0]])
@@ -221,7 +226,7 @@ class Passivity:
     def _grid(self) -> Array:
         """Frequencies that part the axis into pieces on which `Phi` keeps its sign, and some between them."""
         poles = self.modes.poles
-        marks = [np.zeros(1), np.abs(poles.imag), np.abs(poles), self.singular_frequencies()]
+        marks = [np.zeros(1), np.abs(poles.imag), np.abs(poles), self.singular]
         marks += [np.abs(poles.imag) + width * sign * poles.real for width in _WIDTHS for sign in (-1, 1)]
         points = np.unique(np.concatenate(marks))
         points = points[points >= 0]

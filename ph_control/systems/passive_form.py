@@ -149,7 +149,7 @@ def _passive_parts(
             return parts, Conversion("given", 0, error)
     m, D = given.ports, given.D
     split = split_axis(given.A, given.B, given.C)
-    _refuse_active(split, given, refusal)
+    singular = _refuse_active(split, given, refusal)
     response = _GivenResponse(
         given, np.concatenate([np.linalg.eigvals(split.rest[0]), [1j * w for w, _ in split.axis]])
     )
@@ -160,7 +160,8 @@ def _passive_parts(
         parts, energy = modal, "modal"
     else:
         energy = "mean" if storage == "auto" else storage
-        parts = joined([stored_parts(PortRows(*split.rest, D), energy), *lossless_parts(split.axis, m)], D[m:])
+        stored = stored_parts(PortRows(*split.rest, D), energy, singular)
+        parts = joined([stored, *lossless_parts(split.axis, m)], D[m:])
         error = response.difference(parts)
     if minimal:
         response.refuse_lost_sensors(parts)
@@ -208,8 +209,8 @@ def loses_energy(sys: ct.StateSpace) -> bool:
 # --- is it passive? -----------------------------------------------------------------------------------------------
 
 
-def _refuse_active(split: Split, given: PortRows, refusal: NotLosslessError | None) -> None:
-    """Refuse a system whose ports give energy."""
+def _refuse_active(split: Split, given: PortRows, refusal: NotLosslessError | None) -> Array:
+    """Refuse a system whose ports give energy; the frequencies at which `G + G^H` of the others is singular."""
     m, (A, B, C) = given.ports, split.rest
     D = given.D[:m]
     ports = Split([(w, K[:m]) for w, K in split.axis], (A, B, C[:m]), split.unstable)
@@ -217,7 +218,7 @@ def _refuse_active(split: Split, given: PortRows, refusal: NotLosslessError | No
     tested = None if len(split.unstable) else Passivity(*ports.rest, D, scattering=False, given=matrices)
     found = violations(ports, tested, scattering=False)
     if not found and tested is not None:
-        return
+        return tested.singular
     sentences = refusal.violations if refusal is not None and not len(A) and not D.any() else ()
     raise NotPassiveError(
         [(band.low, band.high) for band in found], [band.excess for band in found], [band.worst for band in found],
@@ -244,8 +245,11 @@ def _signs(split: Split, given: Matrices) -> tuple[int, ...]:
 # --- the storage of the ports -------------------------------------------------------------------------------------
 
 
-def stored_parts(system: PortRows, storage: str) -> Parts:
-    """The system in coordinates in which the storage that is asked for is the unit matrix."""
+def stored_parts(system: PortRows, storage: str, singular: Array | None = None) -> Parts:
+    """The system in coordinates in which the storage that is asked for is the unit matrix.
+
+    `singular` are the frequencies at which `G + G^H` is singular, where they are known.
+    """
     m = system.ports
     rate = float(np.linalg.norm(system.A)) or 1.0
     root = np.sqrt(rate)
@@ -255,7 +259,7 @@ def stored_parts(system: PortRows, storage: str) -> Parts:
     level = np.sqrt(size)
     B, C, D = B / level, C / level, D / size
     if n:
-        found = storage_coordinates(A, B, C[:m], D, storage)
+        found = storage_coordinates(A, B, C[:m], D, storage, None if singular is None else singular / rate)
         A, B, C = found.T @ A @ found.inverse, found.T @ B, C @ found.inverse
     W = 0.5 * semidefinite(dissipation(A, B, C[:m], D), n)
     gain = level * root
