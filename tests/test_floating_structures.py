@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import control as ct
 import mpmath as mp
 import numpy as np
@@ -187,6 +189,24 @@ def test_a_large_kernel_is_counted_found_and_said(n):
     elastic = more.natural_frequencies[more.natural_frequencies > 0]
     assert len(more.natural_frequencies) - len(elastic) == 2 * n
     np.testing.assert_allclose(elastic, exact[: len(elastic)], rtol=1e-9)
+
+
+@pytest.mark.parametrize("loose, modes", [(40, 50), (120, 10), (120, 130)])
+def test_many_loose_masses_beside_a_soft_chain_are_all_rigid(loose, modes):
+    # whose lowest modes are only some thousand times the shift
+    n = 3000
+    K = sparse.block_diag([sparse.csc_array((loose, loose)), sparse.csc_array(line(n))], format="csc")
+    order = np.random.default_rng(2).permutation(n + loose)
+    M = sparse.eye_array(n + loose).tocsc()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", phc.ConditioningWarning)
+        sys = phc.from_second_order(M, K[order][:, order], np.eye(n + loose)[order[0]], modes=modes)
+    kept = sys.structural_modes
+    assert sys.rigid_modes == np.count_nonzero(kept.natural_frequencies == 0) == loose and kept.is_complete
+    exact = 2 * np.sin(np.arange(1, n + 1) * np.pi / (2 * (n + 1)))
+    elastic = kept.natural_frequencies[loose:]
+    np.testing.assert_allclose(elastic, exact[: len(elastic)], rtol=1e-8)
+    np.testing.assert_allclose(kept.shapes.T @ kept.shapes, np.eye(len(kept.natural_frequencies)), atol=1e-12)
 
 
 def test_soft_but_not_loose_parts_are_elastic():

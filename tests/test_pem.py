@@ -559,7 +559,7 @@ def test_signals_whose_squares_leave_the_range_of_doubles_are_refused(factor):
 
 def test_euler_fit_of_white_noise_does_not_overflow():
     u = np.random.default_rng(0).standard_normal(500)
-    assert phc.pem((u, u), 2, dt=1.0, method="euler").order == 2
+    assert np.isfinite(phc.pem((u, u), 2, dt=1.0, method="euler").loss)
 
 
 def test_plant_at_rest_needs_fewer_samples():

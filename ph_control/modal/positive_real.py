@@ -48,6 +48,9 @@ _DIGITS = 1e4  # roundings of the terms that the least one must exceed there
 _PIECES = 8  # of the way between two of these: for the worst frequency of a band, which has several minima
 _FINE = 1e-7  # of it: to what the least value is sought
 _LEVELS = 20  # steps down to it, at most; three are usual
+_HALVINGS = 60  # of intervals of a band that may have less, and
+_INTERVALS = 4000  # of these at a time, at most
+_FOURFOLD = 20  # factors beyond the poles, up to where the way to infinity is looked at
 _AXIS = 256  # times the rounding of an eigenvalue: a real part that is taken for 0
 _DOUBLE = 8.0  # times the root of that: how far the two of a double pole may lie from it
 _CLEAR = 16  # times that: a real part that needs no second look
@@ -131,6 +134,11 @@ class Passivity:
             found = np.concatenate([np.abs(singular(*shift, level).imag) for shift in shifts])
         return np.asarray(found[np.isfinite(found)], float)
 
+    @cached_property
+    def singular(self) -> Array:
+        """Imaginary parts of the points at which `Phi` is singular."""
+        return self.singular_frequencies()
+
     def _shifts(self, level: float, lowest: float, highest: float) -> list[tuple[float, bool]]:
         """Points of the real axis, each amid the poles of some decades, and whether `Phi` is far from singular there.
 
@@ -209,7 +217,7 @@ class Passivity:
 
     def dense_grid(self, reach: float) -> Array:
         """Frequencies for a picture: spaced evenly in the logarithm, dense at resonances and at what is singular."""
-        poles, singular = self.modes.poles, self.singular_frequencies()
+        poles, singular = self.modes.poles, self.singular
         # beyond are zeros at infinity, and what rounding makes of them
         singular = singular[singular <= _FAR * np.abs(poles).max(initial=0.0)]
         marks = np.concatenate([np.abs(poles), singular, [0.0]])
@@ -221,7 +229,7 @@ class Passivity:
     def _grid(self) -> Array:
         """Frequencies that part the axis into pieces on which `Phi` keeps its sign, and some between them."""
         poles = self.modes.poles
-        marks = [np.zeros(1), np.abs(poles.imag), np.abs(poles), self.singular_frequencies()]
+        marks = [np.zeros(1), np.abs(poles.imag), np.abs(poles), self.singular]
         marks += [np.abs(poles.imag) + width * sign * poles.real for width in _WIDTHS for sign in (-1, 1)]
         points = np.unique(np.concatenate(marks))
         points = points[points >= 0]
@@ -278,7 +286,8 @@ class Passivity:
         `x = (jw - A)^-1 B u` and `y` that of the adjoint.
         """
         A, B, C, D = self.given
-        X = resolvent.columns(1j * omega, B)
+        s = np.array([1j * omega])
+        X = resolvent.columns(s, B)[0]
         G = C @ X + D
         Phi = np.eye(len(G.T)) - G.conj().T @ G if self.scattering else G + G.conj().T
         if not np.isfinite(Phi).all():
@@ -286,7 +295,7 @@ class Passivity:
         k, U = np.linalg.eigh(Phi)
         u = U[:, 0]
         h = G @ u if self.scattering else u
-        x, y = np.abs(X @ u), np.abs(resolvent.rows(1j * omega, (h.conj() @ C)[None]))[0]
+        x, y = np.abs(X @ u), np.abs(resolvent.rows(s, (h.conj() @ C)[None]))[0, 0]
         u, h = np.abs(u), np.abs(h)
         entries = float(y @ (np.abs(A) @ x + np.abs(B) @ u) + h @ (np.abs(C) @ x + np.abs(D) @ u))
         whole = 2 * _SOLVER * resolvent.rounding * float(np.linalg.norm(x) * np.linalg.norm(y))
@@ -333,6 +342,8 @@ class Passivity:
 
         From the best point downhill; then where else `Phi` takes that value, there may be less between.
         """
+        if (settled := self._infimum_by_halving(grid, low, high)) is not None:
+            return settled
         k = int(np.argmin(values))
         worst, least = float(grid[k]), float(values[k])
         for _ in range(_LEVELS):
@@ -349,6 +360,78 @@ class Passivity:
                 return (best, value) if value < least else (worst, least)
             worst, least = best, value
         return worst, least
+
+    def _infimum_by_halving(self, grid: Array, low: float, high: float) -> tuple[float, float] | None:
+        """The same without an eigenvalue problem; None where the modes leave it open.
+
+        On the straight way between two values of `G` the smallest eigenvalue is concave, that is, least at an end
+        (and the largest singular value convex).  From this way `G` is at most `h^2 |G''| / 8` off, in an interval `h`,
+        and its modes bound `G''`.  Intervals that may have less than the least value found are halved.
+        """
+        if self.modes.clusters:
+            return None
+        end = high if high < np.inf else 2 * grid[-1]
+        points = np.unique(np.concatenate([[low], grid[(grid > low) & (grid < end)], [end]]))
+        at_points = self._smallest(points)
+        k = int(np.argmin(at_points))
+        worst, least = self._downhill(points[max(k - 1, 0)], points[min(k + 1, len(points) - 1)], points[k])
+        if high == np.inf:
+            beyond = points[-1] * 4.0 ** np.arange(_FOURFOLD)
+            at_beyond = self._smallest(beyond)
+            floor = min(least, at_beyond.min(), self.at_infinity())
+            clear = np.flatnonzero(self._least_beyond(beyond, at_beyond) >= floor - _FINE * abs(floor))
+            if not len(clear):
+                return None
+            added = slice(1, clear[0] + 1)
+            points, at_points = np.append(points, beyond[added]), np.append(at_points, at_beyond[added])
+            worst, least = min((worst, least), (float(points[-1]), float(at_points[-1])), key=lambda one: one[1])
+        a, b, of_a, of_b = points[:-1], points[1:], at_points[:-1], at_points[1:]
+        for _ in range(_HALVINGS):
+            level = least - _FINE * abs(least)
+            may_be_less = ~(self._least_between(a, b, np.minimum(of_a, of_b)) >= level)
+            a, b, of_a, of_b = (part[may_be_less] for part in (a, b, of_a, of_b))
+            if not len(a):
+                return worst, least
+            if len(a) > _INTERVALS:
+                return None
+            middle = 0.5 * (a + b)
+            of_middle = self._smallest(middle)
+            k = int(np.argmin(of_middle))
+            if of_middle[k] < level:
+                worst, least = self._downhill(a[k], b[k], middle[k])
+            a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
+            of_a, of_b = np.concatenate([of_a, of_middle]), np.concatenate([of_middle, of_b])
+        return None
+
+    def _least_between(self, a: Array, b: Array, at_ends: Array) -> Array:
+        """Lower bound of the smallest eigenvalue of `Phi` in intervals, by the lesser of the values at their ends."""
+        poles, sizes = self._fractions
+        away = np.hypot(poles.real, poles.imag - np.clip(poles.imag, a[:, None], b[:, None]))
+        return self._lowered(at_ends, 0.25 * (((b - a)[:, None] / away) ** 2 / away) @ sizes)
+
+    def _least_beyond(self, omega: Array, value: Array) -> Array:
+        """The same from frequencies to infinity, by straight ways in `1 / w`."""
+        poles, sizes = self._fractions
+        part = np.abs(poles) / omega[:, None]
+        off = np.where(part < 1, 0.25 * part / (1 - part) ** 3, np.inf) / omega[:, None]
+        return self._lowered(np.minimum(value, self.at_infinity()), off @ sizes)
+
+    @cached_property
+    def _fractions(self) -> tuple[ComplexArray, Array]:
+        """Poles and norms of residues."""
+        poles, c, b = self.modes._both_halves
+        return poles, np.linalg.norm(c, axis=1) * np.linalg.norm(b, axis=1)
+
+    def _lowered(self, smallest: Array, off: Array) -> Array:
+        """Bound of the smallest eigenvalue of `Phi` where `G` is at most `off` from one that has a given one."""
+        if self.scattering:
+            return np.asarray(1 - (np.sqrt(np.maximum(1 - smallest, 0.0)) + off) ** 2, float)
+        return np.asarray(smallest - 2 * off, float)
+
+    def _downhill(self, low: float, high: float, start: float) -> tuple[float, float]:
+        """A local minimum of the smallest eigenvalue of `Phi` between two frequencies, no greater than at a third."""
+        found = minimum(self._value, low, high)
+        return min(((w, self._value(w)) for w in (float(start), found)), key=lambda one: one[1])
 
     def _crossing(self, a: float, b: float) -> float:
         fa, fb = self._value(a), self._value(b)

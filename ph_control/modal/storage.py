@@ -61,7 +61,9 @@ class Coordinates:
     correction: float
 
 
-def storage_coordinates(A: Array, B: Array, C: Array, D: Array, kind: str) -> Coordinates:
+def storage_coordinates(
+    A: Array, B: Array, C: Array, D: Array, kind: str, singular: Array | None = None
+) -> Coordinates:
     """Coordinates in which a storage of a stable, minimal and passive system is the unit matrix.
 
     Parameters
@@ -70,6 +72,8 @@ def storage_coordinates(A: Array, B: Array, C: Array, D: Array, kind: str) -> Co
         The system in coordinates that are scaled well, balanced ones, with `A` and the response of size 1.
     kind : {"available", "required", "mean"}
         The least storage, the largest, or the geometric mean of the two.
+    singular : ndarray, optional
+        Frequencies at which `G + G^H` is singular, where they are known.
 
     Raises
     ------
@@ -77,7 +81,7 @@ def storage_coordinates(A: Array, B: Array, C: Array, D: Array, kind: str) -> Co
         If none is found: the system is not passive, or rounding hides that it is.
     """
     system = A, B, C, D
-    points = touching_frequencies(*system)
+    points = touching_frequencies(*system, singular)
     best: Coordinates | None = None
     tried = set()
     for null in _NULLS:
@@ -181,11 +185,13 @@ def semidefinite(W: Array, states: int) -> Array:
 # --- where W must be singular -------------------------------------------------------------------------------------
 
 
-def touching_frequencies(A: Array, B: Array, C: Array, D: Array) -> list[float]:
+def touching_frequencies(A: Array, B: Array, C: Array, D: Array, singular: Array | None = None) -> list[float]:
     """Frequencies, infinity and 0 among them, at which the rank of `G + G^H` may fall."""
     if not len(A):
         return [np.inf]
     tested = Passivity(A, B, C, D, scattering=False)
+    if singular is not None:
+        tested.singular = singular
     grid = tested._grid()
     k = np.asarray(np.linalg.eigvalsh(tested.phi(grid)), float)
     size = tested.modes.magnitude(np.asarray(1j * grid, complex))
@@ -378,7 +384,7 @@ def _refined(a: Array, b: Array, e: Array, Z: Array) -> Array:
         coupling, Za = e + Z @ b, Z @ a
         residual = Za + Za.T + coupling @ coupling.T
         size = np.linalg.norm(residual)
-        if not size > EPS * np.linalg.norm(Za):
+        if not size > 0.5 * np.sqrt(len(a)) * EPS * np.linalg.norm(Za):
             break
         step = solve_continuous_lyapunov((a + b @ coupling.T).T, -residual)
         again = Z + 0.5 * (step + step.T)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import eig, schur
-from scipy.linalg.lapack import dgebal, zgetrf, zgetrs, ztrsen, ztrsyl, ztrtrs
+from scipy.linalg.lapack import dgebal, zgetrf, zgetrs, ztrsen, ztrsyl
 
 from .._checks import EPS
 from .._types import Array, ComplexArray, Indices
@@ -14,6 +14,7 @@ from ..exceptions import StructureError
 from .graphs import components
 
 SAFETY = 32.0  # between a first-order error bound and what is called an error
+_ROWS = 32  # of a triangular matrix that are solved together
 
 
 def equilibrated(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
@@ -25,30 +26,44 @@ def equilibrated(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
 
 
 class SchurResolvent:
-    """`(s - A)^-1 B` and `C (s - A)^-1` at many points by one Schur form, O(n^2) a point; NaN at a pole."""
+    """`(s - A)^-1 B` and `C (s - A)^-1` at points `s` (K,) by one Schur form, O(n^2) a point; NaN at a pole."""
 
     def __init__(self, A: Array) -> None:
         self.T, self.Z = schur_form(A)
-        self.diagonal = np.diag(self.T).copy()
         # the backward error of the Schur form
         self.rounding = len(A) * EPS * float(np.linalg.norm(A))
 
-    def columns(self, s: complex, B: ComplexArray | Array) -> ComplexArray:
-        """`(s - A)^-1 B`."""
-        return self.Z @ self._solved(s, self.Z.conj().T @ B, 0)
+    def columns(self, s: ComplexArray, B: ComplexArray | Array) -> ComplexArray:
+        """`(s - A)^-1 B`, shape (K, n, m)."""
+        return _turned(self.Z, _back_substituted(self.T, s, self.Z.conj().T @ B))
 
-    def rows(self, s: complex, C: ComplexArray | Array) -> ComplexArray:
-        """`C (s - A)^-1`."""
-        return self._solved(s, (C @ self.Z).T, 1).T @ self.Z.conj().T
+    def rows(self, s: ComplexArray, C: ComplexArray | Array) -> ComplexArray:
+        """`C (s - A)^-1`, shape (K, p, n)."""
+        # the transpose is triangular too, in the other order
+        solved = _back_substituted(self.T.T[::-1, ::-1].copy(), s, (C @ self.Z).T[::-1])
+        return _turned(self.Z.conj()[:, ::-1], solved).transpose(0, 2, 1)
 
-    def _solved(self, s: complex, right: ComplexArray, transposed: int) -> ComplexArray:
-        if not right.size:
-            return right
-        shifted = -self.T
-        np.fill_diagonal(shifted, s - self.diagonal)
-        # by columns, as LAPACK has them, the matrix is the transpose of the array
-        solved, info = ztrtrs(shifted.T, right, lower=1, trans=1 - transposed)
-        return solved if not info else np.full_like(right, np.nan)
+
+def _turned(Z: ComplexArray, X: ComplexArray) -> ComplexArray:
+    """`Z X[:, k]` for all k, shape (K, n, m), of `X` (n, K, m)."""
+    n, count, m = X.shape
+    return np.asarray((Z @ X.reshape(n, count * m)).reshape(n, count, m).transpose(1, 0, 2))
+
+
+def _back_substituted(T: ComplexArray, s: ComplexArray, right: ComplexArray) -> ComplexArray:
+    """Solutions `(s_k - T) X[:, k] = right` of a triangular `T`, shape (n, K, m): some rows of all at a time."""
+    n, m = right.shape
+    gaps = np.asarray(s) - np.diag(T)[:, None]
+    gaps[:, (gaps == 0).any(axis=0)] = np.nan
+    X = np.repeat(right[:, None].astype(complex), len(s), axis=1)
+    rows = X.reshape(n, len(s) * m)
+    for end in range(n, 0, -_ROWS):
+        start = max(end - _ROWS, 0)
+        rows[start:end] += T[start:end, end:] @ rows[end:]
+        for k in reversed(range(start, end)):
+            rows[k] += T[k, k + 1 : end] @ rows[k + 1 : end]
+            X[k] /= gaps[k, :, None]
+    return X
 
 
 class EliminationResolvent:
@@ -59,13 +74,13 @@ class EliminationResolvent:
     def __init__(self, A: Array) -> None:
         self.A = A
 
-    def columns(self, s: complex, B: Any) -> ComplexArray:
-        """`(s - A)^-1 B`."""
-        return _eliminated(s * np.eye(len(self.A)) - self.A, B + 0j)
+    def columns(self, s: ComplexArray, B: Any) -> ComplexArray:
+        """`(s - A)^-1 B`, shape (K, n, m)."""
+        return np.array([_eliminated(point * np.eye(len(self.A)) - self.A, B + 0j) for point in s])
 
-    def rows(self, s: complex, C: Any) -> ComplexArray:
-        """`C (s - A)^-1`."""
-        return _eliminated((s * np.eye(len(self.A)) - self.A).T, C.T + 0j).T
+    def rows(self, s: ComplexArray, C: Any) -> ComplexArray:
+        """`C (s - A)^-1`, shape (K, p, n)."""
+        return np.array([_eliminated((point * np.eye(len(self.A)) - self.A).T, C.T + 0j).T for point in s])
 
 
 def _eliminated(M: Any, right: Any) -> Any:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh
+from scipy.linalg.blas import dtrsm
 from scipy.sparse.linalg import ArpackError, LinearOperator, SuperLU, cg, eigsh, splu
 
 from .. import _checks
@@ -22,7 +23,9 @@ _GAP = 1e-6  # relative distance at which neighbouring eigenvalues are told apar
 _NOISE = 1e-3  # part of the shift below zero in which rigid modes are scattered by rounding
 _SOFT = 1e3  # times that shift: rigid modes, and others that are searched for first
 _STEPS = 3  # inverse iterations that show whether there are any
-_INVERSIONS = 3  # of many rigid modes together, each of which costs less than to part them
+_INVERSIONS = 9  # of many rigid modes together, at most
+_FALL = 0.1  # of the energy, by an inversion that is worth another
+_DEPENDENT = 0.1  # least part of unit motions across the others that keeps the digits of orthogonality
 _BODY = 8  # modes searched for then: the six of a free body, and two
 _ROUNDS = 6  # searches for modes that the count finds missing
 _SMALL = 0.1  # size of the relative error of a factorisation that cannot change a count, with a margin of ten
@@ -73,16 +76,21 @@ class Pencil:
         self._factor = None
 
     def count(self, shift: float) -> Count:
-        """Eigenvalues below the shift: negative pivots, by Sylvester's law."""
+        """Eigenvalues below the shift."""
+        negative, certain = self._negative(shift)
+        return Count(int(negative.sum()), certain)
+
+    def _negative(self, shift: float) -> tuple[Mask, bool]:
+        """Rows of negative pivots, as many as eigenvalues below the shift (Sylvester), and whether that is certain."""
         A = self.K - shift * self.M
         try:
             lu = self.factor(shift)
         except StructureError:  # singular to the last digit: count a little further, and say so
-            return Count(self.count(shift + _GAP * (abs(shift) - self.low)).below, False)
+            return self._negative(shift + _GAP * (abs(shift) - self.low))[0], False
         certain = bool(np.array_equal(lu.perm_r, lu.perm_c)) and _factor_error(A, lu) < _SMALL
-        pivots = lu.U.diagonal()  # makes copies of both factors, which go with them
+        pivots = lu.U.diagonal()[lu.perm_r]  # makes copies of both factors, which go with them
         self.release()
-        return Count(int((pivots < 0).sum()), certain and bool(pivots.all()))
+        return pivots < 0, certain and bool(pivots.all())
 
     def nearest(self, k: int, shift: float) -> Eigenpairs:
         """Eigenpairs nearest to the shift."""
@@ -182,24 +190,37 @@ class Pencil:
     def _large_kernel(self, k: int) -> Eigenpairs | None:
         """All motions without stiffness, more than those of a free body; None where they are not set apart.
 
-        A factorisation counts them, and inverse iteration of as many vectors together finds them in a few, where
-        Lanczos vectors would show one after the other by rounding alone.
+        A factorisation counts them, and a unit force at each row of a negative pivot moves them, all independently.
+        Inverse iteration from these forces leaves nothing else, where Lanczos vectors would show one after the other
+        by rounding alone.
         """
-        counted = self.count(-self.low)
-        if not counted.certain or counted.below < _BODY:
+        negative, certain = self._negative(-self.low)
+        number = int(negative.sum())
+        if not certain or number < _BODY:
             return None
-        lu, rng = self.factor(self.low), np.random.default_rng(2)
-        shapes = rng.standard_normal((self.K.shape[0], counted.below))
-        for _ in range(_STEPS):
-            for _ in range(_INVERSIONS):
-                shapes = lu.solve(self.M @ shapes)
-            found = _ritz(self, shapes)
-            still = np.abs(found.squares).max() <= _NOISE * -self.low
-            if still and self.residuals(found).max() <= RESIDUAL:
-                self.kernel = found
-                return found
-            shapes = found.shapes
-        return None
+        forces = np.zeros((self.K.shape[0], number), order="F")
+        forces[negative, np.arange(number)] = 1.0
+        lu, before = self.factor(self.low), np.inf
+        mixed = np.random.default_rng(2).standard_normal((number, _PROBES))
+        shapes = lu.solve(forces)
+        for _ in range(_INVERSIONS):
+            shapes /= np.abs(shapes).max(axis=0)
+            energy = float(np.abs(_rayleigh(self, shapes @ mixed)).max())
+            if energy <= EPS**2 * self.scale or energy > _FALL * before:
+                break
+            before, shapes = energy, lu.solve(self.M @ shapes)
+        try:
+            shapes, least = _orthonormal(self, shapes)
+            if least < _DEPENDENT:  # what they had beside has grown
+                shapes, _ = _orthonormal(self, lu.solve(self.M @ shapes))
+        except np.linalg.LinAlgError:
+            return None
+        squares = np.einsum("ij,ij->j", shapes, self.K @ shapes)
+        if not np.abs(squares).max() <= _NOISE * -self.low:
+            return None
+        order = np.argsort(squares)
+        self.kernel = Eigenpairs(squares[order], np.asfortranarray(shapes[:, order]))
+        return self.kernel
 
     def _lanczos(self, k: int, shift: float, beside: Eigenpairs | None) -> Eigenpairs:
         start = np.random.default_rng(0 if beside is None else len(beside.squares)).standard_normal(self.K.shape[0])
@@ -414,6 +435,23 @@ def _ritz(pencil: Pencil, shapes: Array) -> Eigenpairs:
             "matrix; check the signs in M, or the eigensolver"
         ) from None
     return _normalised(pencil, squares, shapes @ (turn / lengths[:, None]))
+
+
+def _rayleigh(pencil: Pencil, shapes: Array) -> Array:
+    """Energy of motions per modal mass."""
+    masses = np.einsum("ij,ij->j", shapes, pencil.M @ shapes)
+    return np.asarray(np.einsum("ij,ij->j", shapes, pencil.K @ shapes) / np.where(masses, masses, _checks.TINY))
+
+
+def _orthonormal(pencil: Pencil, shapes: Array) -> tuple[Array, float]:
+    """Motions of unit modal mass, orthogonal in the mass, and the least part of one that those before it lack.
+
+    Raises `LinAlgError` where a motion has no mass, or depends on those before it.
+    """
+    masses = shapes.T @ (pencil.M @ shapes)
+    lengths = np.sqrt(np.maximum(np.diag(masses), _checks.TINY))
+    root = np.linalg.cholesky(masses / lengths / lengths[:, None])
+    return dtrsm(1.0, root * lengths[:, None], shapes, side=1, lower=1, trans_a=1), float(root.diagonal().min())
 
 
 def _refuse_negative(pencil: Pencil, found: Eigenpairs) -> None:

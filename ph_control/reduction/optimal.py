@@ -16,15 +16,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import qr, schur
+from scipy.linalg import block_diag, qr, schur
 from scipy.linalg.lapack import dtrsyl
 from scipy.optimize import minimize
 
 from .._checks import EPS
-from .._types import Array
+from .._types import Array, ComplexArray
 from .modal_truncation import Parts
 
 _STARTS = 12  # beside the balanced one
@@ -35,9 +35,19 @@ _SETTLED = 1e-14  # of the squared norm of the system: change of the squared err
 _DECAY = 1e-9  # of the fastest pole: least decay of a mirrored one
 _STEPS = 2000  # of quasi-Newton
 _ENOUGH = 1e-10  # of the squared error: what a last step makes of it
+_WELL_PARTED = 1e6  # product of the conditions of the modes of two systems that their Gramians are made of
 _PART = 1e-13  # of the largest eigenvalue of the feedthrough: one that is 0
 
 Matrices = tuple[Array, Array, Array]
+
+
+class _Modes(NamedTuple):
+    """Poles, modes as columns, their inverse, and the condition of both."""
+
+    poles: ComplexArray
+    vectors: ComplexArray
+    inverse: ComplexArray
+    condition: float
 
 
 @dataclass(frozen=True)
@@ -47,6 +57,16 @@ class Full:
     A: Array
     B: Array
     C: Array
+
+    @cached_property
+    def modes(self) -> _Modes:
+        """Modes of a condition that is infinite where they do not span all states."""
+        poles, vectors = np.linalg.eig(self.A)
+        try:
+            inverse = np.linalg.inv(vectors)
+        except np.linalg.LinAlgError:
+            return _Modes(poles, vectors, vectors, np.inf)
+        return _Modes(poles, vectors, inverse, float(np.linalg.norm(vectors) * np.linalg.norm(inverse)))
 
     @cached_property
     def _schur(self) -> tuple[Array, Array]:
@@ -61,6 +81,9 @@ class Full:
 
     def crossed(self, other: Full) -> tuple[Array, Array]:
         """Gramians `P12`, `Q12` of the difference to another system."""
+        if self.modes.condition * other.modes.condition <= _WELL_PARTED:
+            P, Q = _of_modes(self.modes.poles, self.modes.inverse @ self.B, self.C @ self.modes.vectors, other)
+            return (self.modes.vectors @ P).real, (self.modes.inverse.T @ Q).real
         (T, U), (t, u) = self._schur, other._schur
         P = U @ _sylvester(T, t, U.T @ self.B @ (u.T @ other.B).T, "N", "T") @ u.T
         Q = -U @ _sylvester(T, t, U.T @ self.C.T @ (other.C @ u), "T", "N") @ u.T
@@ -72,6 +95,53 @@ class Full:
         value = float(np.sum(small.C * (small.C @ P22 - 2 * self.C @ P12)))
         by_A = 2 * (Q12.T @ P12 - minus_Q22 @ P22)
         return value, (by_A, 2 * (Q12.T @ self.B - minus_Q22 @ small.B), 2 * (small.C @ P22 - self.C @ P12))
+
+
+def _of_modes(poles: ComplexArray, b: ComplexArray, c: ComplexArray, other: Full) -> tuple[ComplexArray, ComplexArray]:
+    """Gramians of modes, a row of each for each, to another system, whose modes are well parted too."""
+    gaps = poles[:, None] + other.modes.poles
+    P = -((b @ (other.modes.inverse @ other.B).T) / gaps) @ other.modes.vectors.T
+    return P, ((c.T @ (other.C @ other.modes.vectors)) / gaps) @ other.modes.inverse
+
+
+@dataclass(frozen=True)
+class _OfModes(Full):
+    """A system of which the states are real and imaginary parts of its modes, those of pairs `k` before real ones.
+
+    Where the modes of both are well parted, Gramians to a small system cost a quotient for each pair of them.
+    """
+
+    poles: ComplexArray
+    b: ComplexArray
+    c: ComplexArray
+    condition: float
+
+    def crossed(self, other: Full) -> tuple[Array, Array]:
+        """Gramians `P12`, `Q12` of the difference to another system."""
+        if not self.condition * other.modes.condition <= _WELL_PARTED:
+            return super().crossed(other)
+        P, Q = _of_modes(self.poles, self.b, self.c, other)
+        pairs = int(np.count_nonzero(self.poles.imag))
+        return (
+            np.concatenate([P.real[:pairs], P.imag[:pairs], P.real[pairs:]]),
+            np.concatenate([2 * Q.real[:pairs], -2 * Q.imag[:pairs], Q.real[pairs:]]),
+        )
+
+
+def in_modes(full: Full) -> Full:
+    """The same system in coordinates of its modes; itself where they are not well parted."""
+    modes = full.modes
+    if not modes.condition <= _WELL_PARTED:
+        return full
+    kept = np.concatenate([np.flatnonzero(modes.poles.imag > 0), np.flatnonzero(modes.poles.imag == 0)])
+    poles, b, c = modes.poles[kept], (modes.inverse @ full.B)[kept], (full.C @ modes.vectors)[:, kept]
+    pair, real = np.split(np.arange(len(kept)), [int(np.count_nonzero(poles.imag))])
+    turning = np.diag(poles.imag[pair])
+    A = block_diag(np.block([[np.diag(poles.real[pair]), -turning], [turning, np.diag(poles.real[pair])]]),
+                   np.diag(poles.real[real]))  # fmt: skip
+    B = np.concatenate([b.real[pair], b.imag[pair], b.real[real]])
+    C = np.hstack([2 * c.real[:, pair], -2 * c.imag[:, pair], c.real[:, real]])
+    return _OfModes(A, B, C, poles, b, c, modes.condition)
 
 
 def _sylvester(T: Array, t: Array, right: Array, first: str, second: str) -> Array:
@@ -91,6 +161,7 @@ def stationary_models(full: Full, order: int) -> list[tuple[float, Matrices]]:
     for _ in range(_STARTS):
         A, B, C = (M + np.abs(M).mean() * rng.standard_normal(M.shape) for M in start)
         starts.append((A, B, C))
+    full = in_modes(full)
     found = _best(_stationary(full, one, _SHORT) for one in starts)[:_KEPT]
     return _best(_stationary(full, model, _ITERATIONS) for _, model in found)
 
@@ -188,13 +259,14 @@ class _Layout:
 
 def best_passive(full: Full, start: Parts) -> tuple[Parts, float]:
     """Port-Hamiltonian system of least H2 error next to another, and the squared error less the squared norm."""
+    full = in_modes(full)
     layout = _Layout(len(start["Q"]), start["G"].shape[1], len(start["sensor_rows"]), start["S"])
     x, size = layout.vector(start), full.squared_norm
     before = size + full.error(Full(*layout.matrices(x)))[0]
 
     def value(x: Array) -> tuple[float, Array]:
         model = Full(*layout.matrices(x))
-        if not np.isfinite(model.A).all() or np.linalg.eigvals(model.A).real.max() >= 0:
+        if not np.isfinite(model.A).all() or model.modes.poles.real.max() >= 0:
             return 1e3, np.zeros_like(x)
         f, by = full.error(model)
         return (size + f) / before, layout.gradient(x, by) / before

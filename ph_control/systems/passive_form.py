@@ -149,7 +149,7 @@ def _passive_parts(
             return parts, Conversion("given", 0, error)
     m, D = given.ports, given.D
     split = split_axis(given.A, given.B, given.C)
-    _refuse_active(split, given, refusal)
+    singular = _refuse_active(split, given, refusal)
     response = _GivenResponse(
         given, np.concatenate([np.linalg.eigvals(split.rest[0]), [1j * w for w, _ in split.axis]])
     )
@@ -160,7 +160,8 @@ def _passive_parts(
         parts, energy = modal, "modal"
     else:
         energy = "mean" if storage == "auto" else storage
-        parts = joined([stored_parts(PortRows(*split.rest, D), energy), *lossless_parts(split.axis, m)], D[m:])
+        stored = stored_parts(PortRows(*split.rest, D), energy, singular)
+        parts = joined([stored, *lossless_parts(split.axis, m)], D[m:])
         error = response.difference(parts)
     if minimal:
         response.refuse_lost_sensors(parts)
@@ -196,8 +197,8 @@ def loses_energy(sys: ct.StateSpace) -> bool:
         except LinAlgError:
             return False  # numbers at the end of the range of doubles
         solver = EliminationResolvent(A)
-        for point in 1j * rate * _BESIDE:
-            x, y = solver.columns(point, B), solver.rows(point, C)
+        points = 1j * rate * _BESIDE
+        for x, y in zip(solver.columns(points, B), solver.rows(points, C), strict=True):
             G, (x, y) = C @ x + D, (np.abs(x), np.abs(y))
             rounding = EPS * (y @ (np.abs(A) @ x + np.abs(B)) + np.abs(C) @ x + np.abs(D))
             if np.any(np.abs(G + G.conj().T) > _CERTAIN * len(A) * (rounding + rounding.T)):
@@ -208,8 +209,8 @@ def loses_energy(sys: ct.StateSpace) -> bool:
 # --- is it passive? -----------------------------------------------------------------------------------------------
 
 
-def _refuse_active(split: Split, given: PortRows, refusal: NotLosslessError | None) -> None:
-    """Refuse a system whose ports give energy."""
+def _refuse_active(split: Split, given: PortRows, refusal: NotLosslessError | None) -> Array:
+    """Refuse a system whose ports give energy; the frequencies at which `G + G^H` of the others is singular."""
     m, (A, B, C) = given.ports, split.rest
     D = given.D[:m]
     ports = Split([(w, K[:m]) for w, K in split.axis], (A, B, C[:m]), split.unstable)
@@ -217,7 +218,7 @@ def _refuse_active(split: Split, given: PortRows, refusal: NotLosslessError | No
     tested = None if len(split.unstable) else Passivity(*ports.rest, D, scattering=False, given=matrices)
     found = violations(ports, tested, scattering=False)
     if not found and tested is not None:
-        return
+        return tested.singular
     sentences = refusal.violations if refusal is not None and not len(A) and not D.any() else ()
     raise NotPassiveError(
         [(band.low, band.high) for band in found], [band.excess for band in found], [band.worst for band in found],
@@ -244,8 +245,11 @@ def _signs(split: Split, given: Matrices) -> tuple[int, ...]:
 # --- the storage of the ports -------------------------------------------------------------------------------------
 
 
-def stored_parts(system: PortRows, storage: str) -> Parts:
-    """The system in coordinates in which the storage that is asked for is the unit matrix."""
+def stored_parts(system: PortRows, storage: str, singular: Array | None = None) -> Parts:
+    """The system in coordinates in which the storage that is asked for is the unit matrix.
+
+    `singular` are the frequencies at which `G + G^H` is singular, where they are known.
+    """
     m = system.ports
     rate = float(np.linalg.norm(system.A)) or 1.0
     root = np.sqrt(rate)
@@ -255,7 +259,7 @@ def stored_parts(system: PortRows, storage: str) -> Parts:
     level = np.sqrt(size)
     B, C, D = B / level, C / level, D / size
     if n:
-        found = storage_coordinates(A, B, C[:m], D, storage)
+        found = storage_coordinates(A, B, C[:m], D, storage, None if singular is None else singular / rate)
         A, B, C = found.T @ A @ found.inverse, found.T @ B, C @ found.inverse
     W = 0.5 * semidefinite(dissipation(A, B, C[:m], D), n)
     gain = level * root
@@ -333,9 +337,7 @@ class _GivenResponse:
         self.given, self.points = given, 1j * _band(np.asarray(poles, complex))
         resolvent = _resolvent(given.A)
         A, B, C = given.A, given.B, given.C
-        self.into, self.out = (
-            np.array([solve(s, M) for s in self.points]) for solve, M in ((resolvent.columns, B), (resolvent.rows, C))
-        )
+        self.into, self.out = resolvent.columns(self.points, B), resolvent.rows(self.points, C)
         self.values = C @ self.into + given.D
         x, y = np.abs(self.into), np.abs(self.out)
         moved = y @ (np.abs(A) @ x) + y @ np.abs(B) + np.abs(C) @ x
@@ -368,8 +370,7 @@ class _GivenResponse:
             if same_states:  # the difference of matrices that nearly agree, to first order
                 change = self.out @ ((A - given.A) @ self.into + B - given.B) + (C - given.C) @ self.into + D - given.D
             else:
-                resolvent = _resolvent(A)
-                change = np.array([C @ resolvent.columns(s, B) for s in self.points]) + D - self.values
+                change = C @ _resolvent(A).columns(self.points, B) + D - self.values
             off = np.max(np.abs(change) - self.rounding, axis=2, initial=0.0)
         clear = np.isfinite(off).all(axis=1)  # not at a pole
         return off[clear].max(axis=0, initial=0.0), np.abs(self.values[clear]).max(axis=(0, 2), initial=0.0)
