@@ -38,7 +38,7 @@ def _results():
     return [
         *fits, bootstrap, bootstrap.stderr, fits[1].bootstrap(10, rng=1).interval(), fits[0].confidence_interval(),
         fits[0].sample(3, rng=1), fits[-1].sample(3, rng=1),
-        fits[0].identifiability, *(fit.experiments[0] for fit in fits),
+        phc.excitation((u, None), 1, dt=0.1).information, *(fit.experiments[0] for fit in fits),
         *(fit.record for fit in fits[2:]), phc.compare((u, y), fits[0], plant, dt=0.1),
         phc.residual_analysis((u, y), fits[0], dt=0.1), phc.order_selection((u, y), 2, dt=0.1),
         phc.excitation((u, None), 1, dt=0.1), many, many.track(shortest=1), fits[0].stabilisation(1),

@@ -60,7 +60,7 @@ def test_a_script_without_a_main_part_is_told_what_it_lacks(tmp_path):
     (tmp_path / "script.py").write_text(
         "import numpy as np, ph_control as phc\n"
         "u = np.random.default_rng(0).standard_normal(50)\n"
-        "phc.order_selection((u, np.cumsum(u)), 2, dt=0.1, holdout=0.3, workers=2)\n"
+        "phc.pem((None, np.sin(np.arange(50)) + 0.1 * u), 1, dt=0.1).bootstrap(4, rng=1, workers=2)\n"
     )
     done = run(tmp_path, "script.py")
     assert done.returncode == 1 and "if __name__ == '__main__':" in done.stderr.splitlines()[-1]

@@ -75,12 +75,12 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
 
 
 def is_white(at: FreeProjection) -> bool:
-    """Whether what is left in the rows of each output may be white noise."""
+    """Whether what is left in the rows of each output of records in time may be white noise."""
     found = []
     for rows, predicted in zip(at.experiments, at.predictions(), strict=True):
         if isinstance(rows, FreeRecord):
             found += [ljung_box([one[rows.observed]], TUNING.lags) for one in rows.measured - predicted]
-    return min(found) * len(found) >= TUNING.white
+    return bool(found) and min(found) * len(found) >= TUNING.white
 
 
 def noise_of(free: FreeFit, records: Sequence[FreeRecord]) -> list[OutputNoise]:

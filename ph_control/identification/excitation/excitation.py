@@ -134,7 +134,7 @@ def excitation(
     ]
     amplitudes, left = motions[longest]
     if measured[longest] and noise_std is None:
-        noise = float(getattr(order, "noise_variance", left**2)) ** 0.5
+        noise = float(np.ravel(getattr(order, "noise_variance", left**2))[0]) ** 0.5
     joint = None
     if len(problems) > 1:
         joint = joint_information(problems, model.d, model.r, [motion for motion, _ in motions])
