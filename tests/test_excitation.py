@@ -62,9 +62,8 @@ def dense_output(theta, n, u, h, method="exact", intersample="zoh", quantity="ve
         # x = q - i p' with p' = -p: x' = -i d x is q' = d Im x, (Im x)' = -d q
         forced, free = np.zeros(2), np.array([real[l], imaginary[l]])
         for k in range(len(u)):
-            answer = {
-                "velocity": d[l] * forced[0], "displacement": -forced[1], "acceleration": d[l] * (u[k] + d[l] * forced[1])
-            }  # fmt: skip
+            later = d[l] * (u[k] + d[l] * forced[1])
+            answer = {"velocity": d[l] * forced[0], "displacement": -forced[1], "acceleration": later}
             y[k] += r[l] * answer[quantity] + free[0]
             free = E @ free
             forced = E @ forced + a * u[k] + b * (u[k + 1] if k + 1 < len(u) else 0.0)
