@@ -50,6 +50,7 @@ from ..structure.delayed import cost_of, with_delays
 from ..structure.hypothesis_tests import LEVEL, choose, given_structure, likelihood_test, structure_tests
 from ..structure.layout import POWERS, ChannelLayout, residue_of_unit_weight, weights_of
 from ..uncertainty.fisher import PortRecord
+from ..uncertainty.residual_data import without_peaks
 from ..uncertainty.residual_tests import ljung_box
 from .pem_result import PEMResult
 from .result import STRUCTURES, OrderRow, cut_short
@@ -782,9 +783,14 @@ def _left(one: FittedChannels) -> dict[str, Signal]:
 
 
 def _rows(one: FittedChannels) -> list[Signal]:
-    """Real residuals of each output, or real and imaginary parts of those of each entry of a response."""
+    """Real residuals of each output, or real and imaginary parts of those of each entry of a response.
+
+    Of a response without its peaks: a few points at a resonance outweigh all others, and alone look white.
+    """
     left = list(_left(one).values())
-    return left if isinstance(one.record, Recording) else [part for row in left for part in (row[:].real, row[:].imag)]
+    if isinstance(one.record, Recording):
+        return left
+    return [without_peaks(part) for row in left for part in (row[:].real, row[:].imag)]
 
 
 def _whiteness(experiments: Sequence[FittedChannels], single: Sequence[Any], model: FittedModel) -> float:

@@ -53,9 +53,6 @@ _FEW_MODES = 5  # that few points of responses do not show beside a background
 _ABOUT = 4  # lines on either side, whose median a wild line is so many times as large as
 _WILD = 20.0
 _FEW_WILD = 3  # lines, or a few in a thousand: more are no accident
-_DOUBTED = 10.0  # standard errors that a line counts which may be wild
-_LIGHT = 0.01  # of its distance from such a line: decay rate that a resonance begins with
-_EXPLAINED = 0.5  # of the largest value of a line: what modes that explain it may leave
 _SWAPS = 6  # modes that are looked for elsewhere, at most
 _SCANS = 3  # searches with the delays that the last one says
 _LONGEST_DELAY = 24  # samples
@@ -209,6 +206,7 @@ def free_fit(
     real_poles: int | str = "auto",
     delay: Array | None = None,
     method: str = "exact",
+    doubted: bool = True,
 ) -> FreeFit:
     """Fit modes of any damping and residues to all channels, from nothing or from some poles.
 
@@ -249,6 +247,9 @@ def free_fit(
         is repeated with the weights of the law of each entry, which is estimated.
     method : {'exact', 'midpoint', 'euler'}
         How the modes meet the samples.
+    doubted : bool
+        Whether lines of a response that are far larger than those about them may be left out, where the BIC prefers
+        values of their own to modes that explain them.
 
     Returns
     -------
@@ -280,18 +281,21 @@ def free_fit(
             constant_open=offset == "auto" and terms == 1, delay=late,
         )  # fmt: skip
 
-    far = [wild_lines(one) if isinstance(one, ResponseMatrix) else np.zeros(0, int) for one in channels]
+    far = [wild_lines(one) if doubted and isinstance(one, ResponseMatrix) else np.zeros(0, int) for one in channels]
     if any(map(len, far)):
-        calm = free_fit(
-            _without_lines(channels, far), order, quantities=quantities, max_order=max_order, criterion=criterion,
-            reports=reports, start=start, weighted=weighted, real_poles=real_poles,
+        among = partial(
+            free_fit, order=order, quantities=quantities, max_order=max_order, criterion=criterion, reports=reports,
+            start=start, weighted=weighted, real_poles=real_poles, delay=delay,
         )  # fmt: skip
-        if calm.interrupted or not _explains(calm, far, posed(_with_lines(calm, channels))):
-            wild = [
-                Finding(Cause.WILD_LINES, tuple(one.omega[places].tolist()), 0.0, experiment=k)
-                for k, (one, places) in enumerate(zip(calm.channels, far, strict=True)) if len(places)
-            ]  # fmt: skip
-            return replace(calm, findings=(*calm.findings, *wild))
+        calm = among(_without_lines(channels, far))
+        whole = calm if calm.interrupted else among(channels, doubted=False)
+        if not calm.interrupted and _weighted_bic(whole) <= _weighted_bic(calm) + _cost_of_lines(whole, far):
+            return whole
+        wild = [
+            Finding(Cause.WILD_LINES, tuple(one.omega[places].tolist()), 0.0, experiment=k)
+            for k, (one, places) in enumerate(zip(calm.channels, far, strict=True)) if len(places)
+        ]  # fmt: skip
+        return replace(calm, findings=(*calm.findings, *wild))
     path = posed(channels)
     path.check(1 if automatic else int(order))
     begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
@@ -299,6 +303,9 @@ def free_fit(
     if automatic and criterion == "holdout":
         most, automatic = foretelling_order(channels, begin, most, posed), False
     found = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
+    seen = found.per_entry and not found.interrupted and path.best is not None
+    if seen and weighted and start is None and not path.is_white(path.best):  # type: ignore[arg-type]
+        found = _from_peaks(found, posed, begin, most, automatic)
     if automatic and real_poles in ("auto", 0) and not found.interrupted:
         found = _of_few_lines(found, path.of_few_lines(), min(max_order, path.carried))
     found = found.with_delay_open(delay is None)
@@ -354,6 +361,22 @@ def free_fit(
         return replace(found, interrupted=True)
 
 
+def _from_peaks(
+    found: FreeFit, posed: Callable[..., FreePath], begin: ComplexArray, most: int, automatic: bool
+) -> FreeFit:
+    """The fit from the poles that responses show where all lines weigh the same, if that is likelier.
+
+    Weighted by its gain, a response is as large everywhere, and hides its resonances from who seeks the first.
+    """
+    channels: Any = found.channels
+    if all(np.ptp(one.weights[one.observed]) == 0 for one in channels):
+        return found
+    alike = [replace(one, weights=np.where(one.observed, 1.0, one.weights)) for one in channels]
+    p = posed(alike).fit(begin, most, automatic, alike, either_hold=False).projection.p
+    other = posed(channels).fit(p, most, automatic, channels, either_hold=False)
+    return other if other.criteria.bic < found.criteria.bic else found
+
+
 def wild_lines(response: ResponseMatrix) -> Indices:
     """Places of lines that are far larger than the lines about them in some entry, unless many are."""
     size = np.abs(response.response).reshape(-1, response.samples)
@@ -378,47 +401,17 @@ def _without_lines(channels: Experiments, lines: Sequence[Indices]) -> list[Resp
     return found
 
 
-def _with_lines(fit: FreeFit, channels: Experiments) -> list[ResponseMatrix]:
-    """All lines with the weights of a fit to some of them, the others with a typical one."""
-    found = []
-    for one, calm in zip(channels, fit.channels, strict=True):
-        assert isinstance(one, ResponseMatrix)
-        found.append(replace(one, weights=np.where(calm.observed, calm.weights, np.median(calm.weights))))
-    return found
+def _cost_of_lines(whole: FreeFit, lines: Sequence[Indices]) -> float:
+    """What it costs by the BIC to take the values at some lines as they are, in the noise of a fit to all lines.
 
-
-def _explains(fit: FreeFit, lines: Sequence[Indices], path: FreePath) -> bool:
-    """Whether modes that were found without some lines, and move a little, answer there as they should.
-
-    A resonance of little damping next to a line is as large there as the distance of the two says, which the other
-    lines only know roughly.
+    Two numbers for each value, and one at 0, where responses are real.
     """
-    if not fit.order:
-        return False
-    path.weigh(fit.scales**2 * path.counts)
-    places = {id(one.omega): far for one, far in zip(fit.channels, lines, strict=True)}
-    data, p, sizes = [], fit.projection.p, np.abs(fit.projection.residues).max(axis=2)
-    starts = [p]
-    for rows in path.scaled.data:
-        wild, scale = places[id(rows.frequencies)], rows.scale.copy()
-        values = np.abs(rows.response[:, wild])
-        scale[wild] *= _DOUBTED / np.maximum(values.max(axis=0, initial=0.0) * scale[wild], _DOUBTED)
-        data.append(replace(rows, scale=scale))
-        for omega, each in zip(rows.frequencies[wild], values.T, strict=True):
-            nearest = int(np.argmin(np.abs(p.imag - omega)))
-            apart = float(np.max(sizes[nearest, rows.outputs] / np.where(each > 0, each, np.inf)))
-            starts += [
-                np.where(np.arange(len(p)) == nearest, -_LIGHT * apart + 1j * (omega + way), p)
-                for way in (-apart, apart) if omega + way > 0
-            ]  # fmt: skip
-    at = min((FreeProjection(data, one) for one in starts), key=lambda one: one.loss)
-    at = refine_free(lambda _: data, at.p, path.scaled.region, TUNING.rough)
-    for rows, predicted in zip(data, at.predictions(), strict=True):
-        wild = places[id(rows.frequencies)]
-        left, values = (np.abs(each[:, wild]) for each in (rows.response - predicted, rows.response))
-        if np.any(left > _EXPLAINED * values.max(axis=0)):
-            return False
-    return True
+    count, cost = 2 * sum(int(one.observed.sum()) for one in whole.channels), 0.0
+    for one, places in zip(whole.channels, lines, strict=True):
+        variances = (whole.scales**2)[:, None] / one.weights[..., places].reshape(len(whole.scales), -1)
+        numbers = np.where(one.omega[places] == 0, 1, 2) * np.log(count)
+        cost += float(np.sum(2 * np.log(2 * np.pi * variances) + numbers))
+    return cost
 
 
 def _of_few_lines(found: FreeFit, paths: Sequence[FreePath], most: int) -> FreeFit:
