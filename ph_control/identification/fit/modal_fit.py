@@ -502,6 +502,15 @@ def starting_poles(guess: Any, channels: Channels, options: Options) -> ComplexA
     if count > options.largest:
         allowed = f"{options.largest} of the order" if given else f"{options.largest} that 'auto' may take"
         raise StructureError(f"initial_guess has {count} modes, more than the {allowed}")
+    fastest = float(poles.imag.max(initial=0.0))
+    for data in channels:
+        if isinstance(data, Recording):
+            hold = Hold(data.dt, options.method)
+            ceiling = float(hold.frequency_of(np.array([hold.largest_phase(data.samples)]))[0])
+            if fastest > ceiling:
+                raise StructureError(
+                    f"initial_guess has a mode at {fastest:.6g} rad/time; what the data can show ends at {ceiling:.6g}"
+                )
     return poles
 
 
