@@ -1112,14 +1112,14 @@ class FreePath:
     def _in_rows(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
         """The same in the rows there are."""
         model = self.improved(self.grown(start, most, automatic), most, automatic)
-        other = self.likelier(model) if automatic else None
+        other = self.likelier(model, most) if automatic else None
         if other is not None:
             other = self.improved(self.grown(other.p, most, automatic), most, automatic)
             model = min(model, other, key=self.cost)
         return model
 
-    def likelier(self, model: FreeModel) -> FreeModel | None:
-        """A much likelier model of the plant that the search has come by, if there is one.
+    def likelier(self, model: FreeModel, most: int) -> FreeModel | None:
+        """A much likelier model of the plant that the search has come by, of so many modes at `most`, if there is one.
 
         Where what is left is no noise, as of plants that are not quite linear, the way of a search depends on rounding.
         """
@@ -1127,7 +1127,7 @@ class FreePath:
         for cost, p in sorted(self.seen, key=lambda one: one[0]):
             if cost > limit:
                 break
-            if np.all(np.abs(p.real) <= TUNING.broadest * np.abs(p)):
+            if _modes(p) <= most and np.all(np.abs(p.real) <= TUNING.broadest * np.abs(p)):
                 other = self.model(p)
                 if self.is_sound(other) and self.vagueness(other).max(initial=0.0) <= 1:
                     return self.reweighted(other)
