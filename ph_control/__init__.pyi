@@ -47,6 +47,7 @@ from .exceptions import FileMissingError as FileMissingError
 from .exceptions import IdentifiabilityWarning as IdentifiabilityWarning
 from .exceptions import IdentificationError as IdentificationError
 from .exceptions import MissingPackageError as MissingPackageError
+from .exceptions import NoSuchQuantityError as NoSuchQuantityError
 from .exceptions import NotLosslessError as NotLosslessError
 from .exceptions import NotPassiveError as NotPassiveError
 from .exceptions import OutputExistsError as OutputExistsError

@@ -59,6 +59,18 @@ class StructureError(PHControlError, ValueError):
     """
 
 
+class NoSuchQuantityError(StructureError, AttributeError):
+    """A result has no such attribute, as its model has no such quantity; also an `AttributeError`, so `hasattr` works.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> y = np.exp(-0.1 * np.arange(50)) * np.cos(np.arange(50))
+    >>> hasattr(phc.pem((None, y), 1, dt=1.0, structure="free"), "r")
+    False
+    """
+
+
 class UnknownKeywordError(StructureError, TypeError):
     """A keyword is none of those that the call takes; also a `TypeError`, as for any other function.
 

@@ -60,7 +60,7 @@ def _results():
         phc.StructureError("refused"), phc.NotLosslessError(("it is damped",)), phc.IdentificationError("refused"),
         phc.NotPassiveError([(0.0, 1.0)], [0.5], [0.5], [1.0 + 2.0j], (-1,), ("it is active",)),
         phc.FileFormatError("refused"), phc.FileMissingError("refused"), phc.OutputExistsError("refused"),
-        phc.MissingPackageError("refused"), phc.UnknownKeywordError("refused"),
+        phc.MissingPackageError("refused"), phc.UnknownKeywordError("refused"), phc.NoSuchQuantityError("none"),
         phc.PHControlError("refused"), phc.IdentifiabilityWarning("told"), phc.ResolutionWarning("told"),
         phc.ConditioningWarning("told"),
     ]  # fmt: skip

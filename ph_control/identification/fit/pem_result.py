@@ -16,7 +16,7 @@ from ..._display import counted
 from ..._frozen import ReadOnlyMapping
 from ..._types import Array, ArrayLike, ComplexArray
 from ..._units import common_unit, hertz_size, with_unit
-from ...exceptions import ConditioningWarning, NotPassiveError, StructureError
+from ...exceptions import ConditioningWarning, NoSuchQuantityError, NotPassiveError, StructureError
 from ...modal.discretization import Hold
 from ...modal.general_form import from_vectors, real_matrices
 from ...modal.modal_form import from_frequencies, imaginary
@@ -237,7 +237,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
     def r(self) -> Array:
         """Weights `r = kappa / d` of the modes, shape (n,)."""
         if not self._has_weights:
-            raise StructureError(
+            raise NoSuchQuantityError(
                 f"weights r are those of lossless and classical modes of one input and one output; this fit is "
                 f"{self.structure!r}, with {self.residues.shape[2]} inputs, {self.residues.shape[1]} outputs and "
                 f"{counted(len(self.real_poles), 'real pole')}: see residues"
@@ -567,7 +567,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         """
         data = self._only("initial_state")
         if not isinstance(data, FittedExperiment):
-            raise StructureError("outputs of several channels move freely each for itself: free_amplitudes has it")
+            raise NoSuchQuantityError("outputs of several channels move freely each for itself: free_amplitudes has it")
         return data.initial_state
 
     @property
@@ -575,7 +575,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         """The same of each experiment."""
         states = [data.initial_state for data in self.experiments if isinstance(data, FittedExperiment)]
         if len(states) < len(self.experiments):
-            raise StructureError("outputs of several channels move freely each for itself: free_amplitudes has it")
+            raise NoSuchQuantityError("outputs of several channels move freely each for itself: free_amplitudes has it")
         return tuple(states)
 
     @property

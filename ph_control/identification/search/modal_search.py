@@ -1135,7 +1135,7 @@ class FreePath:
 
     def improved(self, model: FreeModel, most: int, automatic: bool) -> FreeModel:
         """The same once some of its modes have been looked for elsewhere, and of an order that is chosen, dropped."""
-        best = self.relocated(model, automatic)
+        best = self.relocated(model, automatic, most)
         return self.patched(self.pruned(best), most) if automatic else best
 
     def grown(
@@ -1230,7 +1230,7 @@ class FreePath:
             more = self.reweighted(self.model(np.append(more.p, p[0])))
         if more is model or not self.is_white(more):
             return model
-        more = self.pruned(self.relocated(more, False))
+        more = self.pruned(self.relocated(more, False, most))
         better = self.is_white(more) and self.cost(more) < self.cost(model)
         return more if better and not self.grows(more) else model
 
@@ -1288,7 +1288,7 @@ class FreePath:
             found.append(ljung_box(parts, TUNING.lags))
         return min(found) * len(found) >= TUNING.white
 
-    def relocated(self, model: FreeModel, sound: bool) -> FreeModel:
+    def relocated(self, model: FreeModel, sound: bool, most: int) -> FreeModel:
         """The weakest modes exchanged for what stands out of the rest, as long as that is likelier."""
         for _ in range(_SWAPS):
             p, gains = self.candidates(model)
@@ -1298,7 +1298,10 @@ class FreePath:
             weakest = int(np.argmin(self.evidence(more)))
             other = self.model(np.delete(more.p, weakest))
             gain = self.loglik(other.losses) - self.loglik(model.losses)
-            if gain <= TUNING.sure or (sound and not self.is_sound(other, int(np.sum(_broad(model.p))))):
+            # a mode may come in the place of a real pole
+            if gain <= TUNING.sure or _modes(other.p) > max(most, _modes(model.p)):
+                break
+            if sound and not self.is_sound(other, int(np.sum(_broad(model.p)))):
                 break
             model = self.reweighted(other)
         return model
