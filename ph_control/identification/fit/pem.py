@@ -136,9 +136,10 @@ def pem(
     -----
     Given the poles, residues and what belongs to each experiment solve a linear problem; only the poles are refined
     (variable projection, Levenberg-Marquardt).  The loss has many minima in each frequency, about `2 pi / (T dt)` wide,
-    so modes and real poles are added one by one, each where a local fit around the bins of the Fourier transform explains
-    most of what is left, and all are refined jointly, each output with the variance of its own noise.  The structures
-    are then constraints on that minimum: each has a minimum of its own, and the likelihood that it costs is its test.
+    so modes and real poles are added one by one, each where a local fit around the bins of the Fourier transform
+    explains most of what is left, and all are refined jointly, each output with the variance of its own noise.  The
+    structures are then constraints on that minimum: each has a minimum of its own, and the likelihood that it costs is
+    its test.
     O(T n^2) an iteration; memory does not grow with T n.
 
     A mode that is not significant among all the places where noise could have shown one is dropped from an automatic
