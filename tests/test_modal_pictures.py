@@ -148,6 +148,28 @@ def test_a_fit_is_drawn_with_its_own_data_and_units_of_time_reach_the_axis():
     np.testing.assert_allclose(10 ** (gain.get_ydata() / 20), np.abs(fit.system(1j * gain.get_xdata())), rtol=1e-6)
 
 
+@pytest.mark.parametrize("intersample", ["zoh", "bandlimited"])
+def test_a_step_shows_no_frequency_response(intersample):
+    rng, plant = np.random.default_rng(0), phc.ph(phc.modes([1.0, 2.0], [1.0, 0.5]))
+    step = phc.step_response(plant, 0.1 * np.arange(400))
+    fit = phc.pem((np.ones(400), step.outputs + 0.01 * rng.standard_normal(400)), 2, dt=0.1, initial_state="zero",
+                  structure="lossless")  # fmt: skip
+    labels = [line.get_label() for line in phc.frf_plot(fit, intersample=intersample).lines[0, 0]]
+    assert labels == ["fit (2 modes)"]
+    for picture in (phc.frf_plot, phc.circle_plot):
+        with pytest.raises(StructureError, match="or their inputs are constant"):
+            picture(result(1), step, intersample=intersample)
+
+
+@pytest.mark.parametrize("samples", [990, 999])  # of which the mean rounds in one segment
+def test_a_constant_input_beside_others_hides_none_of_them(samples):
+    u = np.stack([np.random.default_rng(0).standard_normal(samples), np.full(samples, 0.1)])
+    data = ct.TimeResponseData(2e-3 * np.arange(samples), u[:1], inputs=u)
+    plot = phc.frf_plot(result(1, 2), data, intersample="bandlimited", Hz=False)
+    gains = [[line.get_ydata() for line in column if "measured" in str(line.get_label())] for column in plot.lines[0]]
+    assert len(gains[0]) == 1 and len(gains[0][0]) > 30 and np.abs(gains[0][0]).max() < 1e-9 and not gains[1]
+
+
 def test_recordings_are_estimated_together_also_of_roving_hammers_and_sensors():
     fit, h = result(2, 2), 2e-3
     T, rng = 6000, np.random.default_rng(1)

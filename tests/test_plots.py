@@ -1046,6 +1046,10 @@ def replaced(array, index, value):
     ("call", "message"),
     [
         (damaged(lambda t, u, y: (t, 0.1 + 0 * u, y)), "the input of the record is constant"),
+        (
+            damaged(lambda t, u, y: (t, (t > 62.0) + 0.0, y), segments=5),
+            "the input of the record is constant in all 5 segments, or nearly so, .*; use fewer segments",
+        ),
         (damaged(lambda t, u, y: (replaced(t, 5, 5.5), u, y)), "the time of the record is not equally spaced"),
         (damaged(lambda t, u, y: (t, replaced(u, 3, np.nan), y)), "the input of the record is not finite"),
         (damaged(lambda t, u, y: (t, u, replaced(y, 3, np.inf))), "the output of the record is not finite"),

@@ -102,8 +102,8 @@ def spectral_estimate(
     Raises
     ------
     StructureError
-        If the record is not one of one input and one output, is not equally spaced, has NaN in its input, a constant
-        input, or too few samples for the segments.
+        If the record is not one of one input and one output, is not equally spaced, has NaN in its input, an input
+        that is constant in all segments, or too few samples for them.
 
     Notes
     -----
@@ -136,6 +136,11 @@ def spectral_estimate(
     length = _segment_length(len(u), segments)
     pieces = [(u[None, part], y[None, part]) for part in _seen_segments(y, length)]
     omega, response, coherence = _estimate(pieces, step, intersample, impact=False)
+    if not len(omega):
+        raise StructureError(
+            f"the input of the record is constant in all {len(pieces)} segments, or nearly so, and excites no "
+            "frequency but 0; use fewer segments"
+        )
     inherited = {"name": data.sysname, "inputs": data.input_labels, "outputs": data.output_labels}
     names = {key: value for key, value in inherited.items() if value} | names
     found = SpectralEstimate(response[0, 0], omega, coherence[0], len(pieces), step, **names)
@@ -260,6 +265,9 @@ def _segment_spectra(u: Array, y: Array, whole: bool) -> tuple[ComplexArray, Com
     y = np.where(seen[:, None], y, 0.0)
     if not whole:
         window = signal.get_window("hann", u.shape[1])
+        # what the mean of a constant input rounds would pass for its motion
+        still = np.ptp(u, axis=1) <= u.shape[1] * _checks.EPS * np.max(np.abs(u), axis=1)
+        u = np.where(still[:, None], 0.0, u)
         u, y = ((one - one.mean(axis=1, keepdims=True)) * window for one in (u, y))
     U, Y = np.fft.rfft(u), np.fft.rfft(y)
     return seen[:, None, None, None] * (U[:, None] * U[None].conj()), Y[:, None] * U[None].conj(), np.abs(Y) ** 2

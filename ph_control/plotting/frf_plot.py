@@ -300,15 +300,20 @@ def measured_by(
             _refuse_shape((len(y), len(u)), source.shape)
             recordings.append((u, y, step))
     driven = [one for one in recordings if np.any(one[0])]
-    if recordings and not driven and data is not None:
-        raise StructureError("the recordings are free motions, which have no frequency response; leave data out")
     if driven:
         # a model in discrete time answers to samples, whatever is between them
         hold = hold if np.isinf(source.nyquist) else "bandlimited"
         omega, found, coherence = response_matrix_estimate(driven, segments, hold)
-        if hold != "bandlimited":
+        if hold != "bandlimited" and len(omega):
             found = found - _folded(source, omega, driven[0][2], hold)
+        driven = driven if len(omega) else []
+    if driven:
         responses.append(MeasuredMatrix(omega, found, coherence < 0.5, "measured (spectral estimate)", recorded=True))
+    elif recordings and data is not None:
+        raise StructureError(
+            "the recordings are free motions, or their inputs are constant, and show no frequency response; "
+            "leave data out"
+        )
     return responses
 
 
