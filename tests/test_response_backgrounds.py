@@ -108,6 +108,18 @@ def test_only_an_output_and_input_that_are_there_have_a_background(entry):
         background.entry(*entry)
 
 
+def test_terms_that_are_not_there_have_no_value_at_any_frequency():
+    terms = np.zeros((5, 1, 1), complex)
+    terms[3] = 0.05
+    values = phc.ResponseBackground(terms, 0 * terms, ("velocity",)).response([2e-6, 5e-324, 0.0, 1e153])
+    np.testing.assert_allclose(values[0, 0], [1e-7j, 0.0, 0.0, 5e151j], rtol=1e-15, atol=1e-300)
+    for k, omega in ((0, [1.0, 1e-200]), (4, [1.0, 1e153])):
+        large = np.zeros((5, 1, 1), complex)
+        large[k] = 1e9
+        with pytest.raises(phc.StructureError, match="values of the background leave the range of doubles"):
+            phc.ResponseBackground(large, 0 * large, ("velocity",)).response(omega)
+
+
 @pytest.mark.parametrize("zeta", [0.0, 0.02])
 @pytest.mark.parametrize("lines", [12, 16, 24])
 @pytest.mark.parametrize("order", [0, 2, 3])

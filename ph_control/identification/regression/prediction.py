@@ -128,7 +128,7 @@ class ResponseBackground(Frozen):
         Raises
         ------
         StructureError
-            If the frequencies are no vector of finite numbers, or out of range.
+            If the frequencies are no vector of finite numbers, or they or the values are out of range.
 
         Examples
         --------
@@ -143,8 +143,13 @@ class ResponseBackground(Frozen):
         points = _checks.real_array("omega", omega, 1)
         _checks.in_range("omega", points)
         s = 1j * points
-        powers = np.array([np.where(s == 0, float(k == 0), np.where(s == 0, 1.0, s) ** k) for k in _POWERS])
-        return np.asarray(np.tensordot(self.coefficients, powers, (0, 0)))
+        values = np.zeros((*self.coefficients.shape[1:], len(s)), complex)
+        with np.errstate(all="ignore"):
+            for k, factor in zip(_POWERS, self.coefficients, strict=True):
+                if factor.any():
+                    values += factor[..., None] * np.where(s == 0, float(k == 0), np.where(s == 0, 1.0, s) ** k)
+        _checks.representable("values of the background", values)
+        return values
 
     def entry(self, output: int, input: int) -> ResponseBackground:
         """Take the background of one output and input.
