@@ -545,6 +545,8 @@ def test_two_lists_or_tuples_of_numbers_are_a_pair_of_signals():
         ((U, Y), {}, "dt is missing"),
         ((U, Y), {"dt": [0.1]}, "dt is [0.1]; it must be one positive number"),
         ((None, None), {"dt": 1.0}, "neither input nor output"),
+        ((np.zeros((0, 3)), None), {"dt": 1.0}, "neither input nor output"),
+        ((np.zeros((0, 3)), None), {"dt": 1.0, "output_needed": False}, "neither input nor output"),
         ((U, None), {"dt": 1.0}, "the record has no output"),
         ((1.0, 2.0), {"dt": 1.0}, "the input has shape ()"),
         ((U, np.array(["1"] * 6, dtype=object)), {"dt": 1.0}, "does not hold real numbers"),

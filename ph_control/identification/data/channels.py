@@ -177,14 +177,14 @@ def several(data: Any) -> Recording | ResponseMatrix:
 
 def recording_of_pair(u: Any, y: Any, dt: Any, output_needed: bool = True) -> Recording:
     """Recording of signals (T,) or (channels, T); of a free motion without `u`, of no known output without `y`."""
-    if u is None and y is None:
+    inputs = [] if u is None else _signals("input", u)
+    if y is None and not len(inputs):
         raise StructureError("the record has neither input nor output; pass (u, y), or (None, y) for a free motion")
     if y is None and output_needed:
         raise StructureError("the record has no output; pass (u, y), missing samples of y as NaN")
     if dt is None:
         raise StructureError("dt is missing: with arrays (u, y) give dt, the time between samples")
     step = _checks.sampling_step(dt)
-    inputs = [] if u is None else _signals("input", u)
     outputs = [np.full(len(inputs[0]), np.nan)] if y is None else _signals("output", y, missing=True)
     return recording(None, step, inputs, outputs, _numbered("u", len(inputs)), _numbered("y", len(outputs)))
 
