@@ -633,6 +633,13 @@ def test_a_soft_suspension_is_kept_and_what_is_rigid_can_be_said():
         from_second_order(np.diag([1e-12, 1.0]), np.diag([1.0, -1.0]), [1.0, 0.0])
 
 
+@pytest.mark.parametrize("rtol", [None, 0, 1e-9])
+def test_a_stiffness_that_is_negative_altogether_is_no_rounding(rtol):
+    for K in (-np.diag([1.0, 2.0, 3.0]), np.array([[-1.0, 2.0], [2.0, -1.0]])):
+        with pytest.raises(StructureError, match="K is indefinite"):
+            from_second_order(np.eye(len(K)), K, np.ones(len(K)), rtol=rtol)
+
+
 def test_motions_without_mass_are_condensed_in_any_coordinates():
     for seed in range(40):
         rng = np.random.default_rng(seed)

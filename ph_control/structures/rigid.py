@@ -30,7 +30,7 @@ def energy_parts(K_diagonal: Array, squares: Array, shapes: Array, scale: float)
 
     What rounding of entries `K_ij`, in units of `sqrt(K_ii K_jj)`, can make of `w^2` is that part of
     `(|shape|^T sqrt(diag K))^2`.  Where a shape strains hardly any spring, as that of a loose mass, what its own
-    rounding strains stands for that; `scale` is the largest `K_ii / M_ii`.
+    rounding strains stands for that; `scale` is the largest `|K_ii| / M_ii`.
     """
     stiff, floor = np.abs(K_diagonal), _checks.EPS * scale
     unit = np.maximum((np.abs(shapes).T @ np.sqrt(stiff) + np.sqrt(floor)) ** 2, _checks.TINY)

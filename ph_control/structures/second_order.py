@@ -351,7 +351,7 @@ def _with_exact_kernel(M: Array, K: Array, rtol: float | None) -> Array:
     few = [0, _FEW - 1] if rtol is None and n > 2 * _FEW else None
     squares, shapes = eigh(K, M, subset_by_index=few)
     exact = np.einsum("ij,ij->j", shapes, K @ shapes)  # of the shapes; the others are rounded by the largest
-    energy = energy_parts(np.diag(K), exact, shapes, float((np.diag(K) / np.diag(M)).max()))
+    energy = energy_parts(np.diag(K), exact, shapes, float((np.abs(np.diag(K)) / np.diag(M)).max()))
     rigid = rigid_modes(squares, energy, n, rtol, float(squares.max()))
     if (np.abs(energy.part[rigid]) <= 2 * _checks.EPS + energy.noise[rigid]).all():
         return K
