@@ -274,6 +274,21 @@ def test_zeros_are_those_of_the_matrices():
     assert np.allclose(found, true, rtol=1e-9)
 
 
+@pytest.mark.parametrize("ports", [1, 3, 4, 40])
+def test_zeros_are_there_for_many_ports_of_few_states(ports):
+    rng = np.random.default_rng(ports)
+    sys = phc.ph(np.eye(2), rng.standard_normal((2, ports)), R=np.diag([0.0, 0.1]), S=np.eye(ports))
+    true = np.poly(sys.A - sys.B @ np.linalg.solve(sys.D, sys.C))
+    plain = ct.ss(sys.A, sys.B, sys.C, sys.D)
+    for zeros in (sys.zeros(), phc.modes(sys).zeros):
+        assert np.allclose(np.poly(zeros), true)
+    for drawing in map(phc.pole_zero_plot, (sys, plain)):
+        drawn = [line.get_xydata() @ [1, 1j] for line in drawing.axes.flat[0].lines]
+        assert any(np.allclose(np.poly(marks), true) for marks in drawn if len(marks) == 2)
+    wide = ct.ss(sys.A, sys.B, sys.C[:1], sys.D[:1])
+    assert len(phc.modes(wide).zeros) == (2 if ports == 1 else 0)
+
+
 # --- the object ----------------------------------------------------------------------------------------------------
 
 

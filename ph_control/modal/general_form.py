@@ -16,9 +16,9 @@ from typing import Any, NoReturn
 
 import control as ct
 import numpy as np
-from scipy.linalg import block_diag, schur, solve_sylvester
+from scipy.linalg import block_diag, eigvals, schur, solve_sylvester
 from scipy.linalg.lapack import dgebal
-from slycot import mb03rd
+from slycot import ab08nd, mb03rd
 
 from .. import _checks
 from .._display import html_table, literal
@@ -199,7 +199,7 @@ class GeneralModalForm(ModalForm):
     @cached_property
     def zeros(self) -> ComplexArray:
         """Invariant zeros, those of `state_space`; complex ones in exact pairs."""
-        z = np.asarray(self.state_space().zeros(), complex)
+        z = invariant_zeros(self.state_space())
         # quotients of a real pencil: the two of a pair are rounded apart
         upper, real = z[z.imag > 0], z[z.imag == 0]
         return np.sort_complex(np.concatenate([upper.conj(), real, upper]))
@@ -252,6 +252,17 @@ class GeneralModalForm(ModalForm):
         rows = zip(range(1, self.n + 1), self.natural_frequencies, self.damping_ratios, strict=True)
         cells = [[f"{value:.7g}" for value in row] for row in rows]
         return self._repr_latex_() + html_table(["mode", "natural frequency", "damping ratio"], cells)
+
+
+def invariant_zeros(sys: ct.StateSpace) -> ComplexArray:
+    """Invariant zeros of a state space, by slycot with the room that many ports need, which is not its default."""
+    n, m, p = sys.nstates, sys.ninputs, sys.noutputs
+    if not n:
+        return np.zeros(0, complex)
+    more = 3 * max(m, p)
+    pencil = ab08nd(n, m, p, sys.A, sys.B, sys.C, sys.D, ldwork=max(m, p, n) + max(more, n + max(m, p)))
+    count, first, second = pencil[0], pencil[8], pencil[9]
+    return eigvals(first[:count, :count], second[:count, :count]).astype(complex) if count else np.zeros(0, complex)
 
 
 def real_matrices(p: ComplexArray, b: ComplexArray, c: ComplexArray) -> tuple[Array, Array, Array]:

@@ -16,6 +16,7 @@ from .._display import counted
 from .._types import Array, ComplexArray
 from .._units import unit_for
 from ..exceptions import StructureError
+from ..modal.general_form import invariant_zeros
 from ..numerics.rational import poles as poles_of
 from ..systems.port_hamiltonian import modes as modes_of
 from .inputs import Subject, is_fit, subjects_of, title_of
@@ -414,7 +415,8 @@ def pole_zero_map(subject: Subject) -> PoleZeroMap:
         # those of the transfer function: the matrices have 0 twice where a mass is free, and show one of them
         return PoleZeroMap(label, sys.modes.poles, sys.modes.zeros, True, False, sys.ninputs)
     try:
-        poles, zeros = poles_of(sys), np.asarray(sys.zeros(), complex)
+        zeros = invariant_zeros(sys) if type(sys) is ct.StateSpace else sys.zeros()
+        poles, zeros = poles_of(sys), np.asarray(zeros, complex)
     except NotImplementedError as error:
         raise StructureError(f"{label}: {error} Convert the system with control.ss") from None
     points = np.concatenate([poles, zeros])
