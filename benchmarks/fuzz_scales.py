@@ -21,6 +21,7 @@ import ph_control as phc
 
 DIGITS = 60
 ROUNDED = 1e-12  # relative, of what only rounds
+TURNED = 1e-15  # relative, what poles of doubles may be off
 WAYS = ("modal", "balanced")
 FREE = 1e-7  # frequency of a rigid mode, of the largest one: the square root of rounding
 
@@ -136,13 +137,16 @@ def long_steps(rng: Any) -> None:
         sampled = phc.sample(plant, h, intersample=hold_)
     with mp.workdps(DIGITS):
         F, z = _motion(plant.A, plant.B, h, u, start, hold_)
+        turned = _motion(plant.A, plant.B, h * (1 + TURNED), u, start, hold_)[1]
         rows = mp.matrix(plant.C.tolist())
-        right = np.array([[float(x) for x in rows * state] for state in z]).T
+        right, moved = (np.array([[float(x) for x in rows * state] for state in states]).T for states in (z, turned))
         # rows and columns of the matrix have units of their own
         size = np.r_[np.full(n, scale), np.ones(n)]
         F = np.array([[float(F[i, j]) for j in range(2 * n)] for i in range(2 * n)]) * size[:, None] / size
     text = f"{n} masses, {hold_}, step {h:.2g}, unit {scale:.1e}"
-    hold(found.outputs, right, f"response, {text}")
+    # after half turns a held force leaves hardly any speed, but what poles of doubles are off
+    allowed = max(ROUNDED, float(np.max(np.abs(moved - right)) / np.max(np.abs(right))))
+    hold(found.outputs, right, f"response, {text}", allowed)
     hold(sampled.A * size[:, None] / size, F, f"sampled, {text}")
 
 

@@ -94,6 +94,12 @@ def test_answers_do_not_depend_on_units_and_keep_their_digits_at_critical_dampin
         fuzz_scales.ORACLES[name](np.random.default_rng(seed))
 
 
+def test_rounding_of_poles_is_no_error_where_half_turns_leave_hardly_any_speed():
+    rng = np.random.default_rng([7102, 70394])  # a mass that turns by 7.0004 half turns a step
+    rng.random(2), rng.integers(1, 5), rng.choice([1, 1, 1, 2]), rng.integers(2)
+    fuzz_scales.long_steps(rng)
+
+
 def test_an_answer_that_depends_on_the_unit_of_time_is_found(monkeypatch):
     right = phc.PortHamiltonian.hamiltonian
     monkeypatch.setattr(phc.PortHamiltonian, "hamiltonian", lambda *given: right(*given) * (1 + 1e-10))
