@@ -212,9 +212,9 @@ class ConstrainedProjection(LinearProjection):
 
     @cached_property
     def deficiency(self) -> int:
-        """Number of combinations of the coordinates that leave no trace in the data, for given delays."""
-        # what is fed through makes up for a delay within a sample
-        kept = np.flatnonzero(np.diag(self.gram)[: len(self._model)])
+        """Number of combinations of residues and feedthrough that leave no trace, for given poles and delays."""
+        linear = np.arange(len(self._problem.coordinates.kept), len(self._model))
+        kept = linear[np.diag(self.gram)[linear] > 0]
         lengths = np.sqrt(np.diag(self.gram)[kept])
         seen = np.linalg.eigvalsh(self.gram[np.ix_(kept, kept)] / np.outer(lengths, lengths))
         return int(np.sum(seen <= tolerance(self._problem.samples, len(kept)) * seen.max(initial=0.0)))
