@@ -171,7 +171,7 @@ class FreeFit(Frozen):
     @property
     def rival(self) -> FreeFit | None:
         """These modes refined with the inputs held otherwise, if that is left to the data; made when first needed."""
-        return None if self.held_otherwise is None else self.held_otherwise()
+        return None if self.held_otherwise is None or self.interrupted else self.held_otherwise()
 
     def with_rival(self, change: Callable[[FreeFit], FreeFit]) -> FreeFit:
         """The fit with a change of that under the other hold."""
@@ -1381,7 +1381,7 @@ class FreePath:
             rival = held_otherwise()
         except KeyboardInterrupt:
             if found is not None:
-                return replace(found, interrupted=True)
+                return replace(found, interrupted=True, held_otherwise=None)
             if self.best is None or not len(self.best.p):
                 raise
             return self.finished(self.best, channels, interrupted=True)
