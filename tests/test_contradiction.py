@@ -197,7 +197,7 @@ def test_columns_reproduce_a_damped_plant_to_rounding(quantity, intersample, sta
         assert np.sqrt(wrong.loss) > 1e-4 * size
 
 
-@pytest.mark.parametrize("seed", [1, 7])
+@pytest.mark.parametrize("seed", [2, 4])
 def test_a_pair_closer_than_the_record_resolves_stays_lossless(seed):
     rng, step = np.random.default_rng(seed), 2 * np.pi / 2000
     plant = phc.ph(phc.modes(1.0 + np.array([0.0, 0.2]) * step, [1.0, 0.5]))

@@ -378,8 +378,11 @@ def _from_peaks(
 
 
 def wild_lines(response: ResponseMatrix) -> Indices:
-    """Places of lines that are far larger than the lines about them in some entry, unless many are."""
-    size = np.abs(response.response).reshape(-1, response.samples)
+    """Places of lines that are far larger than the lines about them in some entry, unless many are.
+
+    In units of their errors, where weights say these.
+    """
+    size = np.abs(response.response * np.sqrt(response.weights)).reshape(-1, response.samples)
     found = np.zeros(response.samples, bool)
     for each in size:
         seen = np.flatnonzero(each == each)

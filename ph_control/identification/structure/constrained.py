@@ -13,6 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 from scipy.linalg import lapack
+from scipy.optimize import nnls
 
 from ..._checks import EPS
 from ..._frozen import Frozen
@@ -34,6 +35,7 @@ STRUCTURES = {
 _EXACT = 1e-10  # relative decrease of the loss at which a refinement ends
 _WELL_CONDITIONED = 1e10  # entries of the inverse of a Gram matrix of unit columns
 _WEAK = 0.01  # standard errors: a weight so small may be 0
+_LEAST_SIZE = 1e-3  # of the largest: modes of no size do not move
 _ITERATIONS = 60  # before it follows secants
 _FEW = 12  # in the tangent of a free fit, where three are usual
 
@@ -321,14 +323,16 @@ def constrained(
     if hypothesis == "passive":
         return nearest_passive_fit(at, layout, lambda: constrained(at, layout, "classical", region, _ITERATIONS))
     residues, through = layout.split(at.shared, len(at.p))
-    if at.deficiency and isinstance(coordinates, ShapeCoordinates) and coordinates.real:
-        # where an input shows sums of residues only, those of the free fit may have any sign
-        residues = coordinates.turned_to_positive(residues)
+    crowded = bool(np.any(np.diff(np.sort(at.p.imag)) < region.bin))
     x = coordinates.start(residues, through)
+    if (at.deficiency or crowded) and isinstance(coordinates, ShapeCoordinates) and coordinates.real:
+        # where data show sums of residues only, those of the free fit may have any sign and size
+        residues = coordinates.turned_to_positive(residues)
+        x = _with_best_sizes(at, coordinates, coordinates.start(residues, through))
     problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x), delays=delays)
     most, last = _ITERATIONS if iterations is None else iterations, iterations is None
     x = problem.inside(x if delays is None else np.append(x, delays.values))
-    if delays is None and coordinates.sections_at(x).keeps_kinds(at.sections):
+    if delays is None and not crowded and coordinates.sections_at(x).keeps_kinds(at.sections):
         tangent = replace(problem, tangent=Tangent(at))
         x = refine(tangent, x, rtol=TUNING.rough, max_iterations=max(most, _FEW), last=False).projection.x
     found = refine(problem, x, rtol=_EXACT, max_iterations=most, last=last)
@@ -343,6 +347,23 @@ def constrained(
         hypothesis, STRUCTURES[hypothesis], end.p, end.residues, end.feedthrough, shapes, participation, end.loss,
         parameters, variance, cast(GivenResidues, end.data), found.converged, end, end.delays,
     )  # fmt: skip
+
+
+def _with_best_sizes(at: FreeProjection, coordinates: ShapeCoordinates, x: Array) -> Array:
+    """Coordinates with each mode as large, with its shape and pole, as explains most of the data."""
+    sections, residues, through = coordinates.model(x)
+    data = FreeProjection(at.experiments, sections.p, at.fed, sections)
+    layout, rows, targets = coordinates.layout, [], []
+    modes = [np.where(np.arange(len(residues)) == l, 1.0, 0.0)[:, None, None] * residues for l in range(len(residues))]
+    each = [layout.joined(mode, 0 * through, at.has_feedthrough) for mode in modes]
+    rest = layout.joined(0 * residues, through, at.has_feedthrough)
+    for group in data._groups:
+        for output, target in zip(group.outputs, group.targets.T, strict=True):
+            rows.append(np.stack([group.columns @ mode[:, output] for mode in each], axis=1))
+            targets.append(target - group.columns @ rest[:, output])
+    sizes = nnls(np.concatenate(rows), np.concatenate(targets))[0]
+    least = _LEAST_SIZE * sizes.max(initial=0.0)
+    return coordinates.start(np.maximum(sizes, least)[:, None, None] * residues, through)
 
 
 def _at_bound(problem: ConstrainedProblem, at: ConstrainedProjection) -> ConstrainedProjection:
