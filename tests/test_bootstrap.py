@@ -372,7 +372,7 @@ def test_residuals_of_a_response_are_drawn_as_complex_numbers_in_units_of_their_
     result = fitted("response")
     result.bootstrap(3, rng=7)
     left = result.residuals * np.sqrt(result.record.weights)
-    pool = np.sqrt(1 + result.unknowns / (2 * len(left) - result.unknowns)) * (left - left.mean())
+    pool = np.sqrt(result.noise_variance[0, 0] / result.loss) * (left - left.mean())
     scale = module._Refit.of(result).layout.scales[0]
     for (rows,) in problems:
         noise = (scale * rows.response[0] - result.predicted) * np.sqrt(result.record.weights)

@@ -214,7 +214,7 @@ def test_more_data_shrink_the_errors_as_they_should():
     # errors of frequencies fall with the length to the power 3/2, of weights with its root
     short, long = (lossless_fit(recording(T, 0.1, 5, noise=0.1), N, dt=0.1) for T in (500, 4000))
     assert np.allclose(np.mean(long.stderr["d"] / short.stderr["d"]), 8**-1.5, rtol=0.4)
-    twice = recording(500, 0.1, 5)
+    twice = recording(500, 0.1, 4)
     both = lossless_fit([twice, twice], N, dt=0.1)
     # the same record twice: half the variance, whatever belongs to each of them being known separately; that of the
     # noise is what a free model leaves, with poles and residues, and a motion for each record

@@ -316,7 +316,8 @@ class _Refit:
         halves = np.where(result.poles.imag == 0, 0.5, 1.0)[:, None, None] * result.residues
         given = GivenResidues(at, layout.joined(halves, result.feedthrough, at.has_feedthrough) if m else at.shared)
         # residuals are smaller than the noise by the parameters that were fitted to it
-        factor = np.sqrt(at.rows / max(given.loss, np.finfo(float).tiny))
+        variance = np.exp(np.mean(np.log(np.maximum(result.noise_variance, np.finfo(float).tiny))))
+        factor = np.sqrt(variance / max(result.loss, np.finfo(float).tiny))
         predictions, noise = given.predictions(), []
         for one, predicted in zip(rows, predictions, strict=True):
             left = (_target(one) - predicted)[:, one.observed] * _weight(one)

@@ -219,7 +219,7 @@ def under_either_hold(
     late = best is not None and best.free.delay_open and bool(best.free.delay.any())
     free = best.free if best is not None and late else free
     try:
-        if found.structure != "free" and is_white(free.projection):
+        if found.structure != "free" and not free.noise and is_white(free.projection):
             return found  # noise is what is beside the free model, whatever a structure leaves
         whitened = beside_coloured_noise(free)
         if whitened is free:

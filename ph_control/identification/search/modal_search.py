@@ -285,10 +285,10 @@ def free_fit(
     if any(map(len, far)):
         among = partial(
             free_fit, order=order, quantities=quantities, max_order=max_order, criterion=criterion, reports=reports,
-            start=start, weighted=weighted, real_poles=real_poles, delay=delay,
+            weighted=weighted, real_poles=real_poles, delay=delay,
         )  # fmt: skip
-        calm = among(_without_lines(channels, far))
-        whole = calm if calm.interrupted else among(channels, doubted=False)
+        calm = among(_without_lines(channels, far), start=start)
+        whole = calm if calm.interrupted else among(channels, doubted=False, start=calm.projection.p)
         if not calm.interrupted and _weighted_bic(whole) <= _weighted_bic(calm) + _cost_of_lines(whole, far):
             return whole
         wild = [
