@@ -333,11 +333,13 @@ class FittedModes(Report, Frozen):
         >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), np.random.default_rng(0).standard_normal(500)
         >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
         >>> print(phc.pem((u, y), dt=0.1).summary())
-        Port-Hamiltonian model of 'y' from 'u': 1 mode
+        1 mode of 'y' from 'u'
           verdict         consistent with the record
-          record          500 samples, step 0.1
+          structure       lossless
+          record          500 samples, step 0.1, input held between samples
         ...
-          The record is reproduced to rounding.
+          Not rejected: lossless (p = 1), classical (p = 1), passive (p = 1). The data are reproduced to
+          rounding.
         """
         return str(self)
 

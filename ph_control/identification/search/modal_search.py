@@ -52,6 +52,8 @@ _FASTEST = 0.8  # of the ceiling: faster real poles are none
 _FEW_MODES = 5  # that few points of responses do not show beside a background
 _ABOUT = 4  # lines on either side, whose median a wild line is so many times as large as
 _WILD = 20.0
+_HARDLY_MORE = 4.0  # times the squares that noise leaves
+_EXPLAINED = 0.5  # of a value at a line: what modes that explain it may leave
 _FEW_WILD = 3  # lines, or a few in a thousand: more are no accident
 _SWAPS = 6  # modes that are looked for elsewhere, at most
 _SCANS = 3  # searches with the delays that the last one says
@@ -289,7 +291,8 @@ def free_fit(
         )  # fmt: skip
         calm = among(_without_lines(channels, far), start=start)
         whole = calm if calm.interrupted else among(channels, doubted=False, start=calm.projection.p)
-        if not calm.interrupted and _weighted_bic(whole) <= _weighted_bic(calm) + _cost_of_lines(whole, far):
+        explained = whole.order <= calm.order and _explains(whole, calm, far)
+        if explained or _weighted_bic(whole) <= _weighted_bic(calm) + _cost_of_lines(whole, far):
             return whole
         wild = [
             Finding(Cause.WILD_LINES, tuple(one.omega[places].tolist()), 0.0, experiment=k)
@@ -402,6 +405,33 @@ def _without_lines(channels: Experiments, lines: Sequence[Indices]) -> list[Resp
         response[..., places] = np.nan
         found.append(replace(one, response=response))
     return found
+
+
+def _explains(whole: FreeFit, calm: FreeFit, lines: Sequence[Indices]) -> bool:
+    """Whether a fit to all lines leaves a part of the values at some, and of all others hardly more than without these.
+
+    Values of few digits next to a resonance are not what the noise of all others lets one expect, and still its own.
+    There is no resonance at a frequency of 0.
+    """
+    known = {
+        id(data.omega): (far, calm.channels[k]) for k, (data, far) in enumerate(zip(whole.channels, lines, strict=True))
+    }
+    loss, count = 0.0, 0
+    for rows, predicted in zip(whole.projection.experiments, whole.projection.predictions(), strict=True):
+        if not isinstance(rows, FreeResponse) or np.any(rows.frequencies[known[id(rows.frequencies)][0]] == 0):
+            return False
+        far, others = known[id(rows.frequencies)]
+        size = np.abs(rows.response - predicted)
+        if np.any(size[:, far] > _EXPLAINED * np.abs(rows.response[:, far])):
+            return False
+        weights = (
+            others.weights.reshape(-1, others.samples)[rows.outputs]
+            * others.observed.reshape(-1, others.samples)[rows.outputs]
+        )
+        scales = (whole.scales / calm.scales)[rows.outputs, None]
+        loss += float(np.nansum(weights * (scales * size) ** 2))
+        count += int(np.sum(weights > 0))
+    return loss <= _HARDLY_MORE * 2 * count
 
 
 def _cost_of_lines(whole: FreeFit, lines: Sequence[Indices]) -> float:
