@@ -1,4 +1,4 @@
-"""Results of fits: parameters with errors that hold, systems, predictions, files, pictures, of one channel or several."""
+"""Results of fits: parameters with errors that hold, systems, predictions, files, pictures, of any channels."""
 
 from __future__ import annotations
 

@@ -1423,7 +1423,7 @@ class FreePath:
         return found
 
     def _held_otherwise(
-        self, fit: FreeFit, model: FreeModel, plain: FreeSearch, channels: Sequence[Any], automatic: bool
+        self, fit: FreeFit, model: FreeModel, plain: Records, channels: Sequence[Any], automatic: bool
     ) -> FreeFit:
         """A fit refined with the inputs held otherwise."""
         kept = replace(model, at=fit.projection)
