@@ -283,22 +283,13 @@ def free_fit(
             constant_open=offset == "auto" and terms == 1, delay=late,
         )  # fmt: skip
 
-    far = [wild_lines(one) if doubted and isinstance(one, ResponseMatrix) else np.zeros(0, int) for one in channels]
-    if any(map(len, far)):
+    wild = [wild_lines(one) if doubted and isinstance(one, ResponseMatrix) else np.zeros(0, int) for one in channels]
+    if any(map(len, wild)):
         among = partial(
             free_fit, order=order, quantities=quantities, max_order=max_order, criterion=criterion, reports=reports,
             weighted=weighted, real_poles=real_poles, delay=delay,
         )  # fmt: skip
-        calm = among(_without_lines(channels, far), start=start)
-        whole = calm if calm.interrupted else among(channels, doubted=False, start=calm.projection.p)
-        explained = whole.order <= calm.order and _explains(whole, calm, far)
-        if explained or _weighted_bic(whole) <= _weighted_bic(calm) + _cost_of_lines(whole, far):
-            return whole
-        wild = [
-            Finding(Cause.WILD_LINES, tuple(one.omega[places].tolist()), 0.0, experiment=k)
-            for k, (one, places) in enumerate(zip(calm.channels, far, strict=True)) if len(places)
-        ]  # fmt: skip
-        return replace(calm, findings=(*calm.findings, *wild))
+        return _with_or_without(wild, channels, among, start)
     path = posed(channels)
     path.check(1 if automatic else int(order))
     begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
@@ -314,31 +305,43 @@ def free_fit(
     found = found.with_delay_open(delay is None)
     if found.interrupted or found.rounding or (found.per_entry and weighted) or not (found.states or found.noise):
         return found
-    if not found.per_entry:
+    try:
+        if found.per_entry:
+            return _in_noise_of_the_gain(found, posed, most, automatic)
+        search = partial(FreePath.fit, start=begin, most=most, automatic=automatic, channels=channels)
+        anew = _searches_anew(found, posed, search, None if intersample == "auto" else intersample)
+        level = _beside_drift(found, anew) if offset == "auto" else found
+        late = _on_time(level, anew) if delay is None else level
+        if offset != "auto":
+            return late
+        # poles that stand for a delay may hide a drift
+        late = _beside_drift(late, anew) if late is not level and late.offset < 2 else late
+        return _with_constants(late)
+    except KeyboardInterrupt:
+        return replace(found, interrupted=True)
 
-        def anew(late: Array, terms: int, start: ComplexArray | None) -> FreeFit:
-            path = posed(channels, terms, found.intersample if either is None else either, late)
-            path.whiten(found.noise, path.power)
-            if start is not None:
-                model = path.model(start)
-                again = path.finished(path.in_its_noise(model) if found.noise else model, channels, automatic)
-            else:
-                again = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
-            if again.interrupted:
-                raise KeyboardInterrupt
-            return again.with_delay_open(delay is None)
 
-        either = None if intersample == "auto" else intersample
-        try:
-            level = _beside_drift(found, anew) if offset == "auto" else found
-            late = _on_time(level, anew) if delay is None else level
-            if offset != "auto":
-                return late
-            # poles that stand for a delay may hide a drift
-            late = _beside_drift(late, anew) if late is not level and late.offset < 2 else late
-            return _with_constants(late)
-        except KeyboardInterrupt:
-            return replace(found, interrupted=True)
+def _searches_anew(found: FreeFit, posed: Callable[..., FreePath], search: partial[FreeFit], held: str | None) -> Anew:
+    """Searches, or refinements from poles, in the noise of a fit with other delays and offsets."""
+
+    def anew(late: Array, terms: int, start: ComplexArray | None) -> FreeFit:
+        path = posed(found.channels, terms, held or found.intersample, late)
+        path.whiten(found.noise, path.power)
+        if start is None:
+            again = search(path, either_hold=held is None)
+        else:
+            model = path.model(start)
+            model = path.in_its_noise(model) if found.noise else model
+            again = path.finished(model, found.channels, search.keywords["automatic"])
+        if again.interrupted:
+            raise KeyboardInterrupt
+        return again.with_delay_open(found.delay_open)
+
+    return anew
+
+
+def _in_noise_of_the_gain(found: FreeFit, posed: Callable[..., FreePath], most: int, automatic: bool) -> FreeFit:
+    """The fit of responses with the weights of the law of noise that each entry shows."""
 
     def weighted_path(channels: Experiments) -> FreePath:
         path = posed(channels)
@@ -358,10 +361,24 @@ def free_fit(
             model = path.chosen(path.cleaned(model).p, most, automatic)
         return path.finished(model, channels, automatic)
 
-    try:
-        return _reweighted(found, refined, again)
-    except KeyboardInterrupt:
-        return replace(found, interrupted=True)
+    return _reweighted(found, refined, again)
+
+
+def _with_or_without(
+    wild: Sequence[Indices], channels: Experiments, among: Callable[..., FreeFit], start: ComplexArray | None
+) -> FreeFit:
+    """The fit to all lines of responses, or without those that are wild, if they are better values of their own."""
+    calm = among(_without_lines(channels, wild), start=start)
+    if not calm.interrupted:
+        whole = among(channels, doubted=False, start=calm.projection.p)
+        explained = whole.order <= calm.order and _explains(whole, calm, wild)
+        if explained or _weighted_bic(whole) <= _weighted_bic(calm) + _cost_of_lines(whole, wild):
+            return whole
+    found = [
+        Finding(Cause.WILD_LINES, tuple(data.omega[places].tolist()), 0.0, experiment=k)
+        for k, (data, places) in enumerate(zip(calm.channels, wild, strict=True)) if len(places)
+    ]  # fmt: skip
+    return replace(calm, findings=(*calm.findings, *found))
 
 
 def _from_peaks(
