@@ -1067,7 +1067,7 @@ def _message(
                 "record a decay or the forces, or use a program for ambient excitation."
             )
     unit = free.channels[0].time_unit
-    parts += [sentence_of(one, free.intersample, unit, removed=True) for one in findings]
+    parts += [sentence_of(finding, free.intersample, unit) for finding in findings]
     kept = [one for one in tests if one.p >= LEVEL and one.dof]
     if kept:
         parts.append("Not rejected: " + ", ".join(f"{one.hypothesis} ({p_value(one.p)})" for one in kept) + ".")

@@ -179,111 +179,159 @@ def sampled_response(step: SampledModes, residues: NDArray[Any], through: float,
 # --- in words --------------------------------------------------------------------------------------------------------
 
 
-def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None, removed: bool = False) -> str:
-    """What a finding says, and what to do about it; frequencies in Hz where the unit of time is known.
+@dataclass(frozen=True)
+class _Terms:
+    """What a sentence about a finding is made of, beside the finding."""
 
-    A delay is `removed` by the model, or left in the data.
-    """
-    values, certain = finding.values, f"log-likelihood + {finding.gain:.3g}"
-    shown = ", ".join(f"{value:.3g}" for value in values[:4]) + ", ..." * (len(values) > 4)
-    if finding.cause is Cause.CONSTANT:
-        return f"The output has a constant of {shown} beside the modes ({certain}), estimated along with them."
-    if finding.cause is Cause.DRIFT:
-        return f"The output drifts by {shown} per unit time ({certain}), estimated along with the modes."
-    if finding.cause is Cause.HOLD:
-        preferred = HOLDS[int(values[0])]
-        between = "held" if preferred == "zoh" else "linear"
-        if preferred != intersample:
-            return f"The data show an input that was {between} between samples ({certain}): intersample={preferred!r}."
-        return f"The input between samples was {between} ({certain} over the other)."
-    if finding.cause is Cause.DELAY and removed:
-        late, error = values
-        which = repr(finding.output) if finding.output else "The output"
-        unit = f" {time_unit}" if time_unit else " units of time"
-        amount = f"{to_its_error(abs(late), error)}{unit}" + f" (+- {to_its_error(error, error)})" * (error > 0)
-        return (
-            f"{which} comes {amount} {'later' if late > 0 else 'earlier'} than the response to the input ({certain}); "
-            "the delay is in predictions, and not in system."
-        )
-    if finding.cause is Cause.DELAY:
-        samples = int(values[0])
-        which, remedy = ("later", f"u[:-{samples}], y[{samples}:]") if samples > 0 else (
-            "earlier", f"u[{-samples}:], y[:{samples}]"
-        )  # fmt: skip
-        return (
-            f"The output comes {abs(samples)} sample{'s' * (abs(samples) != 1)} {which} than the response to the input "
-            f"({certain}): the recording has a delay; fit {remedy}."
-        )
-    if finding.cause in REJECTED.values():
-        hypothesis = next(name for name, cause in REJECTED.items() if cause is finding.cause)
-        return f"The data show {finding.cause.value}: they reject {hypothesis!r} ({p_value(values[0])})."
-    if finding.cause is Cause.POLARITY:
-        return (
-            f"The residues of {finding.output!r} at its driving point oppose the force in all modes: check the "
-            "polarity of the sensor, or whether it is where the force acts."
-        )
-    if finding.cause is Cause.GAIN_NOISE:
-        sizes = dict.fromkeys(f"{100 * one:.2g} %" for one in (min(values), max(values)))
-        return (
-            f"The noise grows with the gain, by {' to '.join(sizes)} of it ({certain}): each "
-            "point is weighted by this estimate."
-        )
-    if finding.cause is Cause.COLOURED_NOISE:
-        return (
-            f"The noise is coloured ({certain}): an autoregression with the coefficient{'s' * (len(values) != 1)} "
-            f"{shown} describes it. Standard errors assume white noise."
-        )
-    if finding.cause is Cause.COLOURED_RESIDUALS:
-        low, high, size, share = values
-        if time_unit:
-            low, high = (one / hertz_size(time_unit) for one in (low, high))
-        unit = "Hz" if time_unit else "rad per unit time"
-        return (
-            f"The residuals of {finding.output!r} are coloured ({certain}): {100 * share:.0f} % of their power lies "
-            f"between {low:.4g} and {high:.4g} {unit}, at {size:.3g} times the mean density (geometric)."
-        )
-    if finding.cause is Cause.HAMMER_NOISE:
-        noise, peak = values
-        return (
-            f"Outside the contacts of the hammer the force was set to 0: noise of {noise:.2g} beside a peak of "
-            f"{peak:.3g}, as a force, would explain the outputs less well."
-        )
-    if finding.cause is Cause.SATURATION:
-        where = f" in experiment {finding.experiment + 1}" * bool(finding.experiment)
-        ends = " or ".join(f"{one:.6g}" for one in values[1:])
-        return (
-            f"{finding.output!r}{where} stays at {ends} for {values[0]:.0f} samples, the end of its range: a sensor or "
-            "amplifier that saturates. Mark these samples with NaN, or repeat the test with less gain or force."
-        )
-    if finding.cause is Cause.WILD_LINES:
-        where = f" of experiment {finding.experiment + 1}" * bool(finding.experiment)
-        size = hertz_size(time_unit) if time_unit else 1.0
-        listed = ", ".join(f"{one / size:.6g}" for one in values[:_LISTED]) + ", ..." * (len(values) > _LISTED)
-        return (
-            f"The response{where} was left out at {listed} {'Hz' if time_unit else 'rad per unit time'}: values there "
-            "are of another size than all about them, and no mode explains them, as where an integrated signal is "
-            "divided by a frequency of 0. Mark them with NaN."
-        )
-    if finding.cause is Cause.LARGEST_ORDER:
-        return f"The search ended at max_order={values[0]:.0f}: there may be more modes; give a larger max_order."
-    if finding.cause is Cause.FEWER_MODES:
-        return (
-            f"Of the {values[0]:.0f} modes of the order that was given {values[1]:.0f} reproduce the data to rounding; "
-            "of others nothing is seen."
-        )
-    if finding.cause is Cause.OUTLIERS:
-        which = f"Values of {finding.output!r}" + f" in experiment {finding.experiment + 1}" * bool(finding.experiment)
-        return far_out(which, [str(int(one)) for one in values])
-    if finding.output:
-        return (
-            f"The residuals of {finding.output!r} grow with the response, as with {100 * values[0]:.2g} % more input "
-            f"({certain}): unmeasured forces, or noise on the recorded input, which makes residues "
-            f"smaller, by {100 * values[0] ** 2 / (1 + values[0] ** 2):.2g} % for white inputs."
-        )
+    intersample: str
+    time_unit: str | None
+
+    @property
+    def frequency_unit(self) -> str:
+        """Hz where the unit of time is known."""
+        return "Hz" if self.time_unit else "rad per unit time"
+
+    def frequency(self, omega: float) -> float:
+        """A frequency in that unit."""
+        return omega / hertz_size(self.time_unit) if self.time_unit else omega
+
+
+def _gain(finding: Finding) -> str:
+    return f"log-likelihood + {finding.gain:.3g}"
+
+
+def _listed_values(finding: Finding) -> str:
+    return ", ".join(f"{value:.3g}" for value in finding.values[:4]) + ", ..." * (len(finding.values) > 4)
+
+
+def _experiment(finding: Finding, word: str) -> str:
+    return f" {word} experiment {finding.experiment + 1}" * bool(finding.experiment)
+
+
+def _of_constant(finding: Finding, terms: _Terms) -> str:
+    constants = _listed_values(finding)
+    return f"The output has a constant of {constants} beside the modes ({_gain(finding)}), estimated along with them."
+
+
+def _of_drift(finding: Finding, terms: _Terms) -> str:
+    slopes = _listed_values(finding)
+    return f"The output drifts by {slopes} per unit time ({_gain(finding)}), estimated along with the modes."
+
+
+def _of_hold(finding: Finding, terms: _Terms) -> str:
+    preferred = HOLDS[int(finding.values[0])]
+    between = "held" if preferred == "zoh" else "linear"
+    if preferred == terms.intersample:
+        return f"The input between samples was {between} ({_gain(finding)} over the other)."
+    return f"The data show an input that was {between} between samples ({_gain(finding)}): intersample={preferred!r}."
+
+
+def _of_delay(finding: Finding, terms: _Terms) -> str:
+    late, error = finding.values
+    which = repr(finding.output) if finding.output else "The output"
+    amount = f"{to_its_error(abs(late), error)} {terms.time_unit or 'units of time'}"
+    amount += f" (+- {to_its_error(error, error)})" * (error > 0)
     return (
-        f"The recorded input has noise of about {100 * values[0]:.2g} % of its size ({certain}) that did not act on "
-        "the plant: record the input with less noise, or pass the commanded input."
+        f"{which} comes {amount} {'later' if late > 0 else 'earlier'} than the response to the input "
+        f"({_gain(finding)}); the delay is in predictions, and not in system."
     )
+
+
+def _of_rejection(finding: Finding, terms: _Terms) -> str:
+    hypothesis = next(name for name, cause in REJECTED.items() if cause is finding.cause)
+    return f"The data show {finding.cause.value}: they reject {hypothesis!r} ({p_value(finding.values[0])})."
+
+
+def _of_polarity(finding: Finding, terms: _Terms) -> str:
+    return (
+        f"The residues of {finding.output!r} at its driving point oppose the force in all modes: check the "
+        "polarity of the sensor, or whether it is where the force acts."
+    )
+
+
+def _of_gain_noise(finding: Finding, terms: _Terms) -> str:
+    sizes = dict.fromkeys(f"{100 * size:.2g} %" for size in (min(finding.values), max(finding.values)))
+    return (
+        f"The noise grows with the gain, by {' to '.join(sizes)} of it ({_gain(finding)}): each "
+        "point is weighted by this estimate."
+    )
+
+
+def _of_coloured_residuals(finding: Finding, terms: _Terms) -> str:
+    low, high, size, share = finding.values
+    low, high = terms.frequency(low), terms.frequency(high)
+    return (
+        f"The residuals of {finding.output!r} are coloured ({_gain(finding)}): {100 * share:.0f} % of their power lies "
+        f"between {low:.4g} and {high:.4g} {terms.frequency_unit}, at {size:.3g} times the mean density (geometric)."
+    )
+
+
+def _of_hammer_noise(finding: Finding, terms: _Terms) -> str:
+    noise, peak = finding.values
+    return (
+        f"Outside the contacts of the hammer the force was set to 0: noise of {noise:.2g} beside a peak of "
+        f"{peak:.3g}, as a force, would explain the outputs less well."
+    )
+
+
+def _of_saturation(finding: Finding, terms: _Terms) -> str:
+    count, *ends = finding.values
+    return (
+        f"{finding.output!r}{_experiment(finding, 'in')} stays at {' or '.join(f'{end:.6g}' for end in ends)} for "
+        f"{count:.0f} samples, the end of its range: a sensor or amplifier that saturates. Mark these samples with "
+        "NaN, or repeat the test with less gain or force."
+    )
+
+
+def _of_wild_lines(finding: Finding, terms: _Terms) -> str:
+    lines = finding.values
+    listed = ", ".join(f"{terms.frequency(line):.6g}" for line in lines[:_LISTED]) + ", ..." * (len(lines) > _LISTED)
+    return (
+        f"The response{_experiment(finding, 'of')} was left out at {listed} {terms.frequency_unit}: values there "
+        "are of another size than all about them, and no mode explains them, as where an integrated signal is "
+        "divided by a frequency of 0. Mark them with NaN."
+    )
+
+
+def _of_largest_order(finding: Finding, terms: _Terms) -> str:
+    order = finding.values[0]
+    return f"The search ended at max_order={order:.0f}: there may be more modes; give a larger max_order."
+
+
+def _of_fewer_modes(finding: Finding, terms: _Terms) -> str:
+    given, enough = finding.values
+    return (
+        f"Of the {given:.0f} modes of the order that was given {enough:.0f} reproduce the data to rounding; "
+        "of others nothing is seen."
+    )
+
+
+def _of_outliers(finding: Finding, terms: _Terms) -> str:
+    which = f"Values of {finding.output!r}{_experiment(finding, 'in')}"
+    return far_out(which, [str(int(place)) for place in finding.values])
+
+
+def _of_input_noise(finding: Finding, terms: _Terms) -> str:
+    size = finding.values[0]
+    return (
+        f"The residuals of {finding.output!r} grow with the response, as with {100 * size:.2g} % more input "
+        f"({_gain(finding)}): unmeasured forces, or noise on the recorded input, which makes residues "
+        f"smaller, by {100 * size**2 / (1 + size**2):.2g} % for white inputs."
+    )
+
+
+_SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
+    Cause.CONSTANT: _of_constant, Cause.DRIFT: _of_drift, Cause.HOLD: _of_hold, Cause.DELAY: _of_delay,
+    Cause.POLARITY: _of_polarity, Cause.GAIN_NOISE: _of_gain_noise, Cause.COLOURED_RESIDUALS: _of_coloured_residuals,
+    Cause.HAMMER_NOISE: _of_hammer_noise, Cause.SATURATION: _of_saturation, Cause.WILD_LINES: _of_wild_lines,
+    Cause.LARGEST_ORDER: _of_largest_order, Cause.FEWER_MODES: _of_fewer_modes, Cause.OUTLIERS: _of_outliers,
+    Cause.INPUT_NOISE: _of_input_noise, **dict.fromkeys(REJECTED.values(), _of_rejection),
+}  # fmt: skip
+
+
+def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None) -> str:
+    """What a finding says, and what to do about it; frequencies in Hz where the unit of time is known."""
+    return _SENTENCES[finding.cause](finding, _Terms(intersample, time_unit))
 
 
 def far_out(which: str, places: Sequence[str]) -> str:
