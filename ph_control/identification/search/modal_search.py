@@ -52,7 +52,7 @@ _FASTEST = 0.8  # of the ceiling: faster real poles are none
 _FEW_MODES = 5  # that few points of responses do not show beside a background
 _ABOUT = 4  # lines on either side, whose median a wild line is so many times as large as
 _WILD = 20.0
-_HARDLY_MORE = 4.0  # times the squares that noise leaves
+_HARDLY_MORE = 4.0  # times the squares that a fit without some lines leaves
 _EXPLAINED = 0.5  # of a value at a line: what modes that explain it may leave
 _FEW_WILD = 3  # lines, or a few in a thousand: more are no accident
 _SWAPS = 6  # modes that are looked for elsewhere, at most
@@ -430,25 +430,26 @@ def _explains(whole: FreeFit, calm: FreeFit, lines: Sequence[Indices]) -> bool:
     Values of few digits next to a resonance are not what the noise of all others lets one expect, and still its own.
     There is no resonance at a frequency of 0.
     """
+    if any(np.any(data.omega[far] == 0) for data, far in zip(whole.channels, lines, strict=True)):
+        return False
     known = {
-        id(data.omega): (far, calm.channels[k]) for k, (data, far) in enumerate(zip(whole.channels, lines, strict=True))
+        id(data.omega): (far, others) for data, far, others in zip(whole.channels, lines, calm.channels, strict=True)
     }
-    loss, count = 0.0, 0
     for rows, predicted in zip(whole.projection.experiments, whole.projection.predictions(), strict=True):
-        if not isinstance(rows, FreeResponse) or np.any(rows.frequencies[known[id(rows.frequencies)][0]] == 0):
-            return False
-        far, others = known[id(rows.frequencies)]
-        size = np.abs(rows.response - predicted)
-        if np.any(size[:, far] > _EXPLAINED * np.abs(rows.response[:, far])):
-            return False
-        weights = (
-            others.weights.reshape(-1, others.samples)[rows.outputs]
-            * others.observed.reshape(-1, others.samples)[rows.outputs]
-        )
-        scales = (whole.scales / calm.scales)[rows.outputs, None]
-        loss += float(np.nansum(weights * (scales * size) ** 2))
-        count += int(np.sum(weights > 0))
-    return loss <= _HARDLY_MORE * 2 * count
+        if isinstance(rows, FreeResponse):
+            far = known[id(rows.frequencies)][0]
+            if np.any(np.abs(rows.response - predicted)[:, far] > _EXPLAINED * np.abs(rows.response[:, far])):
+                return False
+    losses = []
+    for fit in (whole, calm):
+        losses.append(0.0)
+        for rows, predicted in zip(fit.projection.experiments, fit.projection.predictions(), strict=True):
+            if isinstance(rows, FreeResponse):
+                others = known[id(rows.frequencies)][1]
+                weights = np.where(others.observed, others.weights, 0.0).reshape(-1, others.samples)[rows.outputs]
+                size = np.abs(rows.response - predicted) * fit.scales[rows.outputs, None]
+                losses[-1] += float(np.nansum(weights * size**2))
+    return losses[0] <= _HARDLY_MORE * losses[1]
 
 
 def _cost_of_lines(whole: FreeFit, lines: Sequence[Indices]) -> float:

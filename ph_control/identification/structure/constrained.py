@@ -323,12 +323,14 @@ def constrained(
     if hypothesis == "passive":
         return nearest_passive_fit(at, layout, lambda: constrained(at, layout, "classical", region, _ITERATIONS))
     residues, through = layout.split(at.shared, len(at.p))
-    crowded = bool(np.any(np.diff(np.sort(at.p.imag)) < region.bin))
+    swinging = bool(np.all(at.p.imag > 0))
+    crowded = swinging and bool(np.any(np.diff(np.sort(at.p.imag)) < region.bin))
     x = coordinates.start(residues, through)
     if (at.deficiency or crowded) and isinstance(coordinates, ShapeCoordinates) and coordinates.real:
         # where data show sums of residues only, those of the free fit may have any sign and size
         residues = coordinates.turned_to_positive(residues)
-        x = _with_best_sizes(at, coordinates, coordinates.start(residues, through))
+        x = coordinates.start(residues, through)
+        x = _with_best_sizes(at, coordinates, x) if swinging else x
     problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x), delays=delays)
     most, last = _ITERATIONS if iterations is None else iterations, iterations is None
     x = problem.inside(x if delays is None else np.append(x, delays.values))
