@@ -261,8 +261,8 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
         listed = ", ".join(f"{one / size:.6g}" for one in values[:_LISTED]) + ", ..." * (len(values) > _LISTED)
         return (
             f"The response{where} was left out at {listed} {'Hz' if time_unit else 'rad per unit time'}: values there "
-            "are of another size than all about them, and no mode explains them, as where an integrated signal is "
-            "divided by a frequency of 0. Mark them with NaN."
+            "do not go with the modes that explain all others, as where an integrated signal is divided by a frequency "
+            "of 0. Mark them with NaN."
         )
     if finding.cause is Cause.LARGEST_ORDER:
         return f"The search ended at max_order={values[0]:.0f}: there may be more modes; give a larger max_order."
