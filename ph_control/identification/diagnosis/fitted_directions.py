@@ -15,7 +15,7 @@ from ..data.channels import Recording
 from ..data.frequency_record import InFrequency
 from ..data.time_record import Record
 from ..regression.free import by_poles
-from ..regression.frequency_rows import FreeResponse, Term
+from ..regression.frequency_rows import FreeResponse, terms_in
 from ..regression.spectral_rows import stacked
 from ..regression.time_rows import FreeRecord
 
@@ -70,13 +70,9 @@ def _of_response(data: Any, result: Any) -> Directions:
     """Directions of a fit of one input and one output to a frequency response, complex, with its background."""
     record, p = data.record, result.poles
     rho = result.residues[:, 0, 0] * np.where(p.imag == 0, 0.5, 1.0)
-    terms = () if data.background is None else [
-        Term(int(power) - 2, turned)
-        for turned, part in ((False, data.background.coefficients.real), (True, data.background.coefficients.imag))
-        for power in np.flatnonzero(part.any(axis=(1, 2)))
-    ]  # fmt: skip
+    terms = () if data.background is None else terms_in(data.background.coefficients)
     every = np.ones(record.samples)
-    rows = FreeResponse(record.omega, record.response[None], every, every > 0, result.quantities[0], terms=tuple(terms))
+    rows = FreeResponse(record.omega, record.response[None], every, every > 0, result.quantities[0], terms=terms)
     ahead, behind = rows.poles(p)
     slopes = stacked((rho[:, None] * ahead**2, rho.conj()[:, None] * behind**2))
     late = np.exp(-1j * record.omega * result.delay[0])

@@ -17,7 +17,7 @@ from ...exceptions import IdentificationError, StructureError
 from ..data.experiments import as_channels
 from ..regression.free import FreeProjection, GivenResidues, refine_free
 from ..regression.free_prediction import FittedChannels
-from ..regression.frequency_rows import FreeResponse, Term
+from ..regression.frequency_rows import FreeResponse, terms_in
 from ..regression.prediction import ResponseBackground, state_of
 from ..regression.sections import PoleRegion
 from ..regression.time_rows import FreeRecord
@@ -378,12 +378,8 @@ def _on_background(rows: Sequence[FreeResponse], result: Any) -> list[FreeRespon
     through = result.feedthrough.ravel() != 0
     found = []
     for one in rows:
-        here = np.array([part[:, one.outputs] for part in parts]).reshape(-1, 5, len(one.outputs))
-        terms = [
-            Term(power - 2, turned) for power in range(5) for turned in (False, True)
-            if np.any(here[:, power].imag if turned else here[:, power].real)
-        ]  # fmt: skip
-        found.append(replace(one, terms=tuple(terms), through=one.through or bool(through[one.outputs].any())))
+        terms = terms_in(np.concatenate([np.zeros((5, 1)), *(part[:, one.outputs] for part in parts)], axis=1))
+        found.append(replace(one, terms=terms, through=one.through or bool(through[one.outputs].any())))
     return found
 
 

@@ -207,6 +207,13 @@ class FreeResponse:
         return np.asarray(1.0 / ahead), np.asarray(1.0 / behind)
 
 
+def terms_in(coefficients: ComplexArray) -> tuple[Term, ...]:
+    """Terms of which some coefficient, of `s^-2` to `s^2` along the first axis, is not 0."""
+    parts = coefficients.reshape(len(coefficients), -1)
+    shown = np.stack([parts.real.any(axis=1), parts.imag.any(axis=1)], axis=1)
+    return tuple(Term(int(power) - 2, bool(turned)) for power, turned in np.argwhere(shown))
+
+
 def background_columns(terms: Sequence[Term], omega: Array) -> ComplexArray:
     """Values (len(terms), K) of terms; at a frequency of 0 those of the lowest other."""
     lowest = omega[omega > 0].min(initial=np.inf)

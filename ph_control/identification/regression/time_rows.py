@@ -271,11 +271,6 @@ class FreeRecord:
         """Inputs (m, T) as an output with the delay meets them at its samples."""
         return self.u if self.ahead is None else self.late * self.u + (1.0 - self.late) * self.ahead
 
-    @property
-    def input_slopes(self) -> Array | None:
-        """Change of these per unit time, where the delay is not whole and they are linear between samples."""
-        return None if self.ahead is None else (self.ahead - self.u) / self.hold.h
-
     def modes(self, p: ComplexArray) -> SampledModes:
         """Modes with these poles as the samples show them."""
         return SampledModes.of(self.hold, p, self.late)

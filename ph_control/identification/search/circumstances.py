@@ -95,12 +95,6 @@ class Finding:
     experiment: int = 0
 
 
-def beside_one_another(delay: int) -> tuple[slice, slice]:
-    """Inputs and the outputs that come so many samples after them, or before."""
-    early, late = slice(None, -abs(delay)), slice(abs(delay), None)
-    return (early, late) if delay > 0 else (late, early)
-
-
 # --- noise -----------------------------------------------------------------------------------------------------------
 
 

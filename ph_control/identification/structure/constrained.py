@@ -359,10 +359,9 @@ def _with_best_sizes(at: FreeProjection, coordinates: ShapeCoordinates, x: Array
     modes = [np.where(np.arange(len(residues)) == l, 1.0, 0.0)[:, None, None] * residues for l in range(len(residues))]
     each = [layout.joined(mode, 0 * through, at.has_feedthrough) for mode in modes]
     rest = layout.joined(0 * residues, through, at.has_feedthrough)
-    for group in data._groups:
-        for output, target in zip(group.outputs, group.targets.T, strict=True):
-            rows.append(np.stack([group.columns @ mode[:, output] for mode in each], axis=1))
-            targets.append(target - group.columns @ rest[:, output])
+    for output, target, _, by_shared in GivenResidues(data, rest).sensitivities():
+        rows.append(np.stack([-by_shared @ mode[:, output] for mode in each], axis=1))
+        targets.append(target)
     sizes = nnls(np.concatenate(rows), np.concatenate(targets))[0]
     least = _LEAST_SIZE * sizes.max(initial=0.0)
     return coordinates.start(np.maximum(sizes, least)[:, None, None] * residues, through)
