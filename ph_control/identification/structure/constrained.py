@@ -323,8 +323,7 @@ def constrained(
     if hypothesis == "passive":
         return nearest_passive_fit(at, layout, lambda: constrained(at, layout, "classical", region, _ITERATIONS))
     residues, through = layout.split(at.shared, len(at.p))
-    swinging = bool(np.all(at.p.imag > 0))
-    crowded = swinging and bool(np.any(np.diff(np.sort(at.p.imag)) < region.bin))
+    crowded = is_crowded(at, region)
     x = coordinates.start(residues, through)
     if (at.deficiency or crowded) and isinstance(coordinates, ShapeCoordinates) and coordinates.real:
         # where data show sums of residues only, those of the free fit may have any sign and size
@@ -349,6 +348,11 @@ def constrained(
         hypothesis, STRUCTURES[hypothesis], end.p, end.residues, end.feedthrough, shapes, participation, end.loss,
         parameters, variance, cast(GivenResidues, end.data), found.converged, end, end.delays,
     )  # fmt: skip
+
+
+def is_crowded(at: FreeProjection, region: PoleRegion) -> bool:
+    """Whether some poles are closer than a bin: structures of these are far from linear, and start anywhere."""
+    return bool(np.any(np.diff(np.sort(at.p.imag)) < region.bin))
 
 
 def _with_best_sizes(at: FreeProjection, coordinates: ShapeCoordinates, x: Array) -> Array:

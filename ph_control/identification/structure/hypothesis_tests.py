@@ -13,7 +13,7 @@ from ..._checks import EPS
 from ..diagnosis.verdict import HypothesisTest
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.sections import PoleRegion
-from .constrained import StructuredFit, constrained, nearest_passive_fit
+from .constrained import StructuredFit, constrained, is_crowded, nearest_passive_fit
 from .layout import ChannelLayout
 
 SIMPLEST_FIRST = ("lossless", "classical")
@@ -113,8 +113,14 @@ def given_structure(
 def _tested(
     at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion, parameters: int
 ) -> tuple[HypothesisTest, StructuredFit]:
-    """Test a hypothesis; the minimum of one that is rejected beyond doubt is not followed to its last digit."""
-    for iterations, beyond in ((0, _BEYOND), (_ITERATIONS, 1.0), (None, 1.0)):
+    """Test a hypothesis; the minimum of one that is rejected beyond doubt is not followed to its last digit.
+
+    What crowded poles start from says nothing of their minimum.
+    """
+    efforts: list[tuple[int | None, float]] = [(0, _BEYOND), (_ITERATIONS, 1.0), (None, 1.0)]
+    if is_crowded(at, region):
+        efforts = [(_ITERATIONS, _BEYOND), (None, 1.0)]
+    for iterations, beyond in efforts:
         fit = constrained(at, layout, hypothesis, region, iterations)
         test = likelihood_test(at, fit, parameters - fit.parameters)
         if fit.converged or (test.p < _HOPELESS and test.likelihood_ratio > beyond * test.dof):
