@@ -351,8 +351,8 @@ def constrained(
 
 
 def is_crowded(at: FreeProjection, region: PoleRegion) -> bool:
-    """Whether some poles are closer than a bin: structures of these are far from linear, and start anywhere."""
-    return bool(np.any(np.diff(np.sort(at.p.imag)) < region.bin))
+    """Whether some complex poles are closer than a bin: structures of these are far from linear, and start anywhere."""
+    return bool(np.all(at.p.imag > 0) and np.any(np.diff(np.sort(at.p.imag)) < region.bin))
 
 
 def _with_best_sizes(at: FreeProjection, coordinates: ShapeCoordinates, x: Array) -> Array:
