@@ -329,7 +329,7 @@ def constrained(
         # where data show sums of residues only, those of the free fit may have any sign and size
         residues = coordinates.turned_to_positive(residues)
         x = coordinates.start(residues, through)
-        x = _with_best_sizes(at, coordinates, x) if swinging else x
+        x = _with_best_sizes(at, coordinates, x) if np.all(at.p.imag > 0) else x
     problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x), delays=delays)
     most, last = _ITERATIONS if iterations is None else iterations, iterations is None
     x = problem.inside(x if delays is None else np.append(x, delays.values))
