@@ -259,11 +259,24 @@ def test_repeated_frequencies_count_as_repeated_measurements():
     assert np.allclose(few.stderr["d"] / many.stderr["d"], np.sqrt(3), rtol=0.4)
 
 
-@pytest.mark.parametrize("points", [7, 9, 12])
-def test_few_points_are_enough_for_a_mode(points):
+@pytest.mark.parametrize("order", [1, "auto"])
+@pytest.mark.parametrize("points", [3, 5, 7, 9, 12])
+def test_few_points_are_enough_for_a_mode(points, order):
     omega = np.linspace(0.6, 1.6, points)
-    result = phc.pem(ct.frd(response([1.03], [0.7], omega), omega), 1)
+    result = phc.pem(ct.frd(response([1.03], [0.7], omega), omega), order)
     assert result.d[0] == pytest.approx(1.03, rel=1e-9) and result.r[0] == pytest.approx(0.7, rel=1e-8)
+
+
+@pytest.mark.parametrize("points", [3, 5, 7])
+def test_few_points_of_a_sensor_of_any_kind_are_enough_for_a_mode(points):
+    omega = np.linspace(0.6, 1.6, points)
+    result = phc.pem(ct.frd(response([1.03], [0.7], omega), omega), 1, quantity="free")
+    assert result.poles[0] == pytest.approx(1.03j, rel=1e-9)
+
+
+def test_two_points_are_too_few_for_a_mode_of_any_damping():
+    with pytest.raises(phc.IdentificationError, match="4 unknowns in all channels, more than the 4 observed"):
+        phc.pem(ct.frd(response([1.03], [0.7], np.array([0.6, 1.6])), [0.6, 1.6]), 1)
 
 
 def test_several_responses_and_missing_points_are_one_fit():

@@ -485,7 +485,7 @@ class Responses(FreeSearch):
 
     def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
         """Of windows of several widths, or of many places among few points, the poles that explain most."""
-        if self.classical:
+        if self.classical or all(len(one.frequencies) <= 2 * _LEAST for one in self.data):
             return self._scanned(model.p)
         joined: list[tuple[Array, list[ComplexArray], list[Array]]] = []
         for rows, part in zip(self.data, model.left, strict=True):
@@ -517,7 +517,7 @@ class Responses(FreeSearch):
         return super().unknowns(modes, real_poles) - self.classical * modes * entries
 
     def _scanned(self, p: ComplexArray) -> tuple[ComplexArray, Array]:
-        """Poles between all points that explain most of what modes leave."""
+        """Poles between all points that explain most of what modes leave; of sensors of any kind, as a velocity."""
         omega = np.unique(np.concatenate([one.omega for one in self.data]))
         places = np.arange(_PLACES * (len(omega) - 1) + 1) / _PLACES
         rates = self.region.bin * np.array(_DECAYS)
@@ -528,7 +528,8 @@ class Responses(FreeSearch):
             known = next(rows.at(p).blocks())
             q, n = len(rows.outputs), len(p)
             basis, _ = orthogonal(known[: rows.own_unknowns(n) + 2 * n + rows.through].T)
-            columns = real_rows([rows.weight * rows.classical_columns(tried)])
+            real = rows if rows.quantity != "free" else replace(rows, quantity="velocity")
+            columns = real_rows([rows.weight * real.classical_columns(tried)])
             free = without(columns.T, basis)
             gains += np.sum((free.T @ without(known[-q:].T, basis)) ** 2, axis=1) / np.sum(free**2, axis=0)
         return strongest([(tried, gains)], self.region.bin)
