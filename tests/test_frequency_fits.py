@@ -274,6 +274,14 @@ def test_few_points_of_a_sensor_of_any_kind_are_enough_for_a_mode(points):
     assert result.poles[0] == pytest.approx(1.03j, rel=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_few_noisy_points_are_fitted_or_left_without_a_mode(seed):
+    omega = np.linspace(0.6, 1.6, 3)
+    exact = response([1.03], [0.7], omega)
+    result = phc.pem(ct.frd(exact + noise(0.3 * np.abs(exact), seed), omega), 1)
+    assert result.order <= 1 and np.all(np.isfinite(result.poles))
+
+
 def test_two_points_are_too_few_for_a_mode_of_any_damping():
     with pytest.raises(phc.IdentificationError, match="4 unknowns in all channels, more than the 4 observed"):
         phc.pem(ct.frd(response([1.03], [0.7], np.array([0.6, 1.6])), [0.6, 1.6]), 1)
@@ -404,16 +412,51 @@ def outliers_of(result):
     return [one.values for one in found(result, "OUTLIERS")]
 
 
-def test_a_point_far_out_of_the_noise_is_named():
-    order = 3
-    *_, exact, data = plant_with_noise(3, 1, relative=0.01)
+def left_out(result):
+    """Frequencies of the lines that were left out."""
+    return [value for each in found(result, "WILD_LINES") for value in each.values]
+
+
+@pytest.mark.parametrize("order", [3, "auto"])
+def test_a_point_far_out_of_the_noise_is_named(order):
+    d, _, exact, data = plant_with_noise(3, 1, relative=0.01)
     size = 0.01 * np.abs(exact)
     weights = 1 / size**2
-    assert not outliers_of(phc.pem(data, order, weights=weights))
+    plain = phc.pem(data, order, weights=weights)
+    assert not outliers_of(plain) and not left_out(plain)
     measured = np.array(data.frdata[0, 0])
     measured[40] += 200 * size[40]
     result = phc.pem(ct.frd(measured, data.omega, smooth=False), order, weights=weights)
-    assert outliers_of(result) == [(40.0,)] and result.outcome.name == "DOUBTFUL"
+    # beside a number of modes that is given, or as a mode that only this line would ask for
+    named = (outliers_of(result) == [(40.0,)] and result.outcome.name == "DOUBTFUL") or left_out(result) == [
+        pytest.approx(data.omega[40])
+    ]
+    assert named and result.order == 3 and np.allclose(result.natural_frequencies, d, rtol=2e-3)
+
+
+@pytest.mark.parametrize("point", range(3))
+def test_an_error_at_a_resonance_is_no_damping(point):
+    d, r, exact, data = plant_with_noise(3, 1, relative=0.01)
+    size = 0.01 * np.abs(exact)
+    place = int(np.argmin(np.abs(data.omega - d[point])))
+    measured = np.array(data.frdata[0, 0])
+    measured[place] += 200 * size[place]
+    result = phc.pem(ct.frd(measured, data.omega, smooth=False), 3, weights=1 / size**2)
+    assert left_out(result) == [pytest.approx(data.omega[place])]
+    assert result.structure == "lossless" and is_at_the_optimum(result, d, r)
+
+
+def test_damped_resonances_with_a_wrong_value_next_to_each_keep_all_lines_but_that():
+    omega, d = np.linspace(0.05, 3.2, 120), [0.9, 1.7, 2.6]
+    exact = response(d, [1.0, 0.8, 1.2], omega, ratio=0.01)
+    size = 0.01 * np.abs(exact)
+    for resonance in d:
+        measured = exact + noise(size, 3)
+        assert not left_out(phc.pem(ct.frd(measured, omega, smooth=False), 3, weights=1 / size**2))
+        place = int(np.argmin(np.abs(omega - resonance)))
+        measured[place] += 200 * size[place]
+        result = phc.pem(ct.frd(measured, omega, smooth=False), 3, weights=1 / size**2)
+        assert left_out(result) == [pytest.approx(omega[place])] or outliers_of(result) == [(float(place),)]
 
 
 def test_a_sample_far_out_of_the_noise_of_a_record_is_named():

@@ -282,8 +282,8 @@ def _of_wild_lines(finding: Finding, terms: _Terms) -> str:
     listed = ", ".join(f"{terms.frequency(line):.6g}" for line in lines[:_LISTED]) + ", ..." * (len(lines) > _LISTED)
     return (
         f"The response{_experiment(finding, 'of')} was left out at {listed} {terms.frequency_unit}: values there "
-        "are of another size than all about them, and no mode explains them, as where an integrated signal is "
-        "divided by a frequency of 0. Mark them with NaN."
+        "do not go with the modes that explain all others, as where an integrated signal is divided by a frequency "
+        "of 0. Mark them with NaN."
     )
 
 

@@ -6,7 +6,7 @@ jointly, and each output counts by the variance of its own noise, which is estim
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from typing import Any
@@ -37,6 +37,7 @@ from .held_out import foretelling_order
 from .response_noise import ROUNDS, SETTLED, NoiseLaw, balanced, entry_laws
 
 Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
+Place = tuple[int, int]  # an experiment and a line of it
 Reports = Callable[[int], Progress | None]  # what is told of the iterations of so many modes
 
 _STEPS = 15  # of a refinement on the way
@@ -283,13 +284,16 @@ def free_fit(
             constant_open=offset == "auto" and terms == 1, delay=late,
         )  # fmt: skip
 
-    wild = [wild_lines(one) if doubted and isinstance(one, ResponseMatrix) else np.zeros(0, int) for one in channels]
-    if any(map(len, wild)):
+    responses = [data for data in channels if isinstance(data, ResponseMatrix)] if doubted else []
+    if responses:
         among = partial(
             free_fit, order=order, quantities=quantities, max_order=max_order, criterion=criterion, reports=reports,
-            weighted=weighted, real_poles=real_poles, delay=delay,
+            weighted=weighted, real_poles=real_poles, delay=delay, doubted=False,
         )  # fmt: skip
-        return _with_or_without(wild, channels, among, start)
+        wild = [wild_lines(data) for data in responses]
+        if any(map(len, wild)):
+            return _with_or_without(wild, channels, among, start)
+        return _without_errors(among(channels, start=start), responses, among)
     path = posed(channels)
     path.check(1 if automatic else int(order))
     begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
@@ -370,15 +374,11 @@ def _with_or_without(
     """The fit to all lines of responses, or without those that are wild, if they are better values of their own."""
     calm = among(_without_lines(channels, wild), start=start)
     if not calm.interrupted:
-        whole = among(channels, doubted=False, start=calm.projection.p)
+        whole = among(channels, start=calm.projection.p)
         explained = whole.order <= calm.order and _explains(whole, calm, wild)
-        if explained or _weighted_bic(whole) <= _weighted_bic(calm) + _cost_of_lines(whole, wild):
+        if explained or not _is_likelier_without(whole, calm, wild):
             return whole
-    found = [
-        Finding(Cause.WILD_LINES, tuple(data.omega[places].tolist()), 0.0, experiment=k)
-        for k, (data, places) in enumerate(zip(calm.channels, wild, strict=True)) if len(places)
-    ]  # fmt: skip
-    return replace(calm, findings=(*calm.findings, *found))
+    return _leaving_out(calm, wild)
 
 
 def _from_peaks(
@@ -450,6 +450,96 @@ def _explains(whole: FreeFit, calm: FreeFit, lines: Sequence[Indices]) -> bool:
                 size = np.abs(rows.response - predicted) * fit.scales[rows.outputs, None]
                 losses[-1] += float(np.nansum(weights * size**2))
     return losses[0] <= _HARDLY_MORE * losses[1]
+
+
+def _without_errors(whole: FreeFit, channels: Sequence[ResponseMatrix], among: Callable[..., FreeFit]) -> FreeFit:
+    """The fit without values that are errors of single lines, where these made a mode, or broadened one.
+
+    A mode that only one line asks for has more unknowns than a value of its own.  Next to a resonance an error looks
+    like damping, and residuals are not white: there a line is left out only if nothing else was wrong.
+    """
+    at = whole.projection
+    if whole.interrupted or whole.rounding or not len(at.p):
+        return whole
+
+    def leaving(places: Collection[Place], **how: Any) -> FreeFit:
+        lines = [np.array(sorted(line for k, line in places if k == j), int) for j in range(len(channels))]
+        try:
+            calm = among(_without_lines(channels, lines), **how)
+        except IdentificationError:  # the other lines do not carry the modes
+            return whole
+        likelier = not calm.interrupted and _is_likelier_without(whole, calm, lines)
+        return _leaving_out(calm, lines) if likelier else whole
+
+    single = _of_single_lines(whole, channels)
+    if single:
+        rest = np.delete(at.p, list(single))
+        return leaving(set(single.values()), start=rest) if len(set(single.values())) <= _FEW_WILD else whole
+    if _is_white(at):
+        return whole
+    nearest = {
+        (k, int(np.argmin(np.where(data.observed.any(axis=(0, 1)), np.abs(data.omega - d), np.inf))))
+        for k, data in enumerate(channels) for d in at.d[at.p.imag > 0]
+    }  # fmt: skip
+    calm = leaving(nearest, order=whole.order)
+    if calm is whole or not _is_white(calm.projection):
+        return whole
+    start = calm.projection.p
+    fits = [leaving([each], order=whole.order, start=start) for each in sorted(nearest)]
+    return min((fit for fit in fits if fit is not whole), key=_weighted_bic, default=whole)
+
+
+def _of_single_lines(fit: FreeFit, channels: Sequence[ResponseMatrix]) -> dict[int, Place]:
+    """Modes that the criterion takes for one line alone, each with its experiment and the line."""
+    effects = _effects(fit.projection, channels)
+    lines = [int(data.observed.sum()) for data in channels]
+    found = {}
+    for l in np.flatnonzero(fit.projection.p.imag > 0).tolist():
+        k = int(np.argmax([part[l].max() for part in effects]))
+        others = sum(float(part[l].sum()) for part in effects) - float(effects[k][l].max())
+        if others < (2 + 2 * len(fit.scales)) * np.log(2 * sum(lines)):
+            found[l] = (k, int(np.argmax(effects[k][l])))
+    return found
+
+
+def _effects(at: FreeProjection, channels: Sequence[ResponseMatrix]) -> list[Array]:
+    """Square of what each mode adds to each line of each experiment, all entries together, in units of the noise."""
+    found = [np.zeros((len(at.p), data.samples)) for data in channels]
+    number = {id(data.omega): k for k, data in enumerate(channels)}
+    for rows in at.experiments:
+        assert isinstance(rows, FreeResponse)
+        ahead, behind = rows.poles(at.p)
+        for output in rows.outputs.tolist():
+            r = at.residues[:, output, 0][:, None]
+            size = np.abs((r * ahead + r.conj() * behind) * rows.weight) ** 2
+            found[number[id(rows.frequencies)]][:, rows.observed] += size
+    return found
+
+
+def _is_white(at: FreeProjection) -> bool:
+    """Whether what is left of each entry may be white noise."""
+    parts: dict[int, list[Array]] = {}
+    for rows, predicted in zip(at.experiments, at.predictions(), strict=True):
+        assert isinstance(rows, FreeResponse)
+        apart = (rows.response - predicted)[:, rows.observed] * rows.weight
+        for output, row in zip(rows.outputs.tolist(), apart, strict=True):
+            parts.setdefault(output, []).extend([row.real, row.imag])
+    found = [ljung_box(each, TUNING.lags) for each in parts.values()]
+    return min(found) * len(found) >= TUNING.white
+
+
+def _is_likelier_without(whole: FreeFit, calm: FreeFit, lines: Sequence[Indices]) -> bool:
+    """Whether the BIC prefers values of their own at some lines to a fit to all."""
+    return _weighted_bic(whole) > _weighted_bic(calm) + _cost_of_lines(whole, lines)
+
+
+def _leaving_out(calm: FreeFit, lines: Sequence[Indices]) -> FreeFit:
+    """The fit without some lines, with the finding that says so."""
+    wild = [
+        Finding(Cause.WILD_LINES, tuple(data.omega[places].tolist()), 0.0, experiment=k)
+        for k, (data, places) in enumerate(zip(calm.channels, lines, strict=True)) if len(places)
+    ]  # fmt: skip
+    return replace(calm, findings=(*calm.findings, *wild))
 
 
 def _cost_of_lines(whole: FreeFit, lines: Sequence[Indices]) -> float:
