@@ -111,6 +111,12 @@ def test_without_a_positive_zero_the_least_distance_is_that_at_an_end_of_the_axi
     assert stability_margins(ct.tf([2.0], [1.0, 0.0]))[2::3] == (1.0, np.inf)
 
 
+@pytest.mark.parametrize("method", [np.array(["best", "frd"]), 3, None])
+def test_an_unknown_method_is_an_error(method):
+    with pytest.raises(phc.StructureError, match="method is"):
+        stability_margins(phc.modes(1.0, 1.0), method=method)
+
+
 def test_an_integrator_crosses_once():
     np.testing.assert_allclose(margin(ct.tf([2.0], [1.0, 0.0])), (np.inf, 90.0, np.nan, 2.0), rtol=4 * EPS)
 
@@ -184,7 +190,7 @@ def test_a_frequency_response_has_the_margins_of_python_control():
 def test_a_method_of_python_control_is_used_where_it_is_asked_for():
     chain = phc.frenkel_kontorova()
     assert stability_margins(chain, method="poly") == pytest.approx(ct.stability_margins(chain, method="poly"))
-    with pytest.raises(ValueError, match="unknown"):
+    with pytest.raises(phc.StructureError, match="method is"):
         stability_margins(chain, method="guess")
 
 

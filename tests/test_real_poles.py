@@ -151,3 +151,34 @@ def test_no_lag_is_seen_in_a_plant_without_any():
         y = phc.forced_response(plant, t, u, intersample="zoh").outputs
         seen += len(phc.pem((u, y + 0.05 * rng.standard_normal(1500)), dt=0.1).real_poles)
     assert seen == 0
+
+
+def carts(samples=1000, h=0.1, push=1.0, seed=0):
+    """Velocity of two carts on a spring that are pushed: rigid motion and a mode, no losses."""
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(samples)
+    y = held([0.0, 2.0j], [0.3, 0.5], u, h) + push + 0.02 * rng.standard_normal(samples)
+    return u, y
+
+
+@pytest.mark.parametrize("structure", ["lossless", "auto"])
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_a_cart_that_rolls_beside_a_mode_is_lossless(structure, seed):
+    result = phc.pem(carts(seed=seed, push=0.5 * seed), dt=0.1, structure=structure)
+    assert result.structure == "lossless" and result.outcome.name == "CONSISTENT"
+    assert result.poles[1] == 0
+    np.testing.assert_allclose(result.poles[0], 2.0j, atol=2e-3)
+    np.testing.assert_allclose(result.residues[:, 0, 0], [0.5, 0.3], atol=5e-3)
+    # motion of the mode, and of the carts together
+    assert [len(state) for state in result.initial_states] == [3]
+    np.testing.assert_allclose(result.initial_states[0][2], 0.5 * seed, atol=0.02)
+    assert np.isfinite(result.stderr["initial_state"]).all()
+
+
+def test_a_pair_that_turns_real_under_a_structure_leads_to_a_passive_model():
+    rng = np.random.default_rng(96)
+    t, u = 0.1 * np.arange(80), rng.standard_normal(80)
+    sizes, phases = rng.uniform(0.2, 1, 2), rng.uniform(0, 6, 2)
+    y = sum(a * np.cos(w * t + b) for a, b, w in zip(sizes, phases, (1.0, 2.7), strict=True))
+    result = phc.pem((u, y + 0.05 * rng.standard_normal(80)), dt=0.1, max_order=1, initial_state="zero", offset=False)
+    assert result.order <= 1

@@ -573,3 +573,12 @@ def test_instants_further_off_every_grid_are_refused():
     t[1::2] -= 0.1 * 0.0101
     with pytest.raises(phc.StructureError, match="is not equally spaced"):
         phc.forced_response(phc.ph(phc.modes(1.0, 1.0)), t, 1.0)
+
+
+@pytest.mark.parametrize("squeeze", ["yes", 2.0, [True]])
+def test_a_squeeze_that_is_no_flag_is_an_error(squeeze):
+    sys = phc.modes(1.0, 1.0)
+    with pytest.raises(phc.StructureError, match="squeeze is .*; it must be True or False"):
+        phc.step_response(sys, np.linspace(0, 1, 5), squeeze=squeeze)
+    with pytest.raises(phc.StructureError, match="squeeze is .*; it must be True or False"):
+        phc.forced_response(sys, np.linspace(0, 1, 5), np.zeros(5), squeeze=squeeze)

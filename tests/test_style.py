@@ -125,6 +125,11 @@ def test_an_unknown_keyword_of_style_is_an_error_that_names_the_known_ones(pictu
         picture(colour="red")
 
 
+def test_a_width_beyond_all_numbers_is_an_error():
+    with pytest.raises(phc.StructureError, match="matplotlib does not know this style"):
+        PICTURES["bode"][0](linewidth=10**400)
+
+
 @pytest.mark.parametrize("name", ["bode", "step", "impulse", "modes", "energy", "poles"])
 def test_curves_take_the_colour_that_was_asked_for(name):
     lines = PICTURES[name][0](color="#123456").lines.ravel()

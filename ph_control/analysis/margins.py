@@ -116,6 +116,7 @@ def stability_margins(
     """
     _checks.flags(returnall=returnall)
     epsw = float(_checks.real_array("epsw", epsw, 0))
+    _checks.choice("method", method, ("best", "poly", "frd"))
     loop = _lossless(sysdata) if method == "best" else None
     if loop is None:
         return _quietly(ct.stability_margins, sysdata, returnall=returnall, epsw=epsw, method=method)

@@ -33,7 +33,8 @@ Response = TypeVar("Response", bound=Callable[..., Any])
 
 def _with_aliases(response: Response) -> Response:
     """Let a function take the short names that python-control has for its arguments."""
-    names = [name for name in signature(response).parameters if name != "aliases"]
+    known = signature(response)
+    names = [name for name in known.parameters if name != "aliases"]
 
     @wraps(response)
     def call(*args: Any, **options: Any) -> Any:
@@ -44,6 +45,9 @@ def _with_aliases(response: Response) -> Response:
             if name in options or name in names[: len(args)]:
                 raise TypeError(f"multiple values for {name!r}: also given as {short!r}")
             options[name] = options.pop(short)
+        squeeze = known.bind(*args, **options).arguments.get("squeeze")
+        if squeeze is not None:
+            _checks.flags(squeeze=squeeze)
         return response(*args, **options)
 
     return cast(Response, call)

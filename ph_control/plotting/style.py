@@ -89,7 +89,8 @@ class Look:
                     raise ValueError(f"{name} is {_checks.shown(value)}, not finite")
             Line2D([], [], **given)
             RcParams(dict(frame.get("rcParams", {})))
-        except (ValueError, TypeError, KeyError, OSError) as error:  # python-control raises the last on being iterated
+        # OSError of python-control, where something of it is iterated
+        except (ValueError, TypeError, KeyError, OverflowError, OSError) as error:
             raise StructureError(f"matplotlib does not know this style: {error}") from None
         return cls(**frame, line=given)
 

@@ -570,7 +570,7 @@ def _judged(
     single = residues.shape[1] == 1 and residues.shape[2] <= 1
     shown: Any = experiments
     if single:
-        lossless = fit.structure == "lossless" and residues.shape[2] == 1
+        lossless = fit.structure == "lossless" and residues.shape[2] == 1 and bool(np.all(fit.p.imag > 0))
         errors_of_states = _state_errors(measured, fit, free, rank, request.quantities[0], lossless)
         shown = tuple(
             _squeezed(data, poles, residues, request.quantities[0], lossless, error)

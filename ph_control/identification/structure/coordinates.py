@@ -143,12 +143,13 @@ class StructureCoordinates:
 
     def _factor(self, sections: Sections) -> ComplexArray:
         """`g`, shape (n, p, 1); of real poles half, as they are their own conjugates."""
-        p, apart = sections.p, np.empty(len(sections.p), complex)
+        p, apart = sections.p.copy(), np.empty(len(sections.p), complex)
         slow, fast = sections.places.T
         apart[fast] = np.where(sections.square > 0, 2j, -4.0) * sections.root
         real = sections.square <= 0
         apart[slow[real]] = 4.0 * sections.root[real]
-        apart[sections.single] = 2.0 * _not_zero(p[sections.single])
+        p[sections.single] = _not_zero(p[sections.single])
+        apart[sections.single] = 2.0 * p[sections.single]
         return (p[:, None] ** self.layout.powers / apart[:, None])[:, :, None]
 
     def _factor_slopes(self, sections: Sections) -> ComplexArray:

@@ -282,9 +282,9 @@ def made_passive(
     at: FreeProjection, layout: ChannelLayout, classical: FreeProjection, active: int, inverse: Array
 ) -> PassivePoint:
     """A model with classical damping, so many unknowns fewer: poles that grow are brought to the axis."""
-    ports = _Ports(at, layout)
+    ports = _Ports(classical, layout)  # pairs of poles may have turned real
     theta, n = ports.theta(classical), ports.n
-    theta[n : 2 * n] = np.minimum(theta[n : 2 * n], -_decay(at.covariance(1.0), n, theta))
+    theta[n : 2 * n] = np.minimum(theta[n : 2 * n], -_decay(classical.covariance(1.0), n, theta))
     residues, through = layout.split(classical.shared, n)
     block = np.ix_([one for one, _ in layout.ports], [one for _, one in layout.ports])
     values, vectors = np.linalg.eigh(0.5 * (through[block] + through[block].T))
