@@ -81,13 +81,13 @@ class Delays:
 
     def rows(self, experiments: Sequence[Rows]) -> list[Rows]:
         """Rows with these delays, of outputs that share one."""
-        found = list[Rows]()
-        for one in experiments:
-            each = self.groups[one.outputs]
+        delayed = list[Rows]()
+        for rows in experiments:
+            each = self.groups[rows.outputs]
             for group in np.unique(each).tolist():
-                part = one if np.all(each == group) else one.among_outputs(each == group)
-                found.append(part.delayed(float(self.values[group]), self.least, self.most))
-        return found
+                part = rows if np.all(each == group) else rows.among_outputs(each == group)
+                delayed.append(part.delayed(float(self.values[group]), self.least, self.most))
+        return delayed
 
     def inside(self, values: Array) -> Array:
         """Delays brought to where they are allowed."""
@@ -99,7 +99,7 @@ class Delays:
 
 @dataclass(frozen=True)
 class _ExperimentColumns:
-    """What a factor tells of an experiment once its own unknowns are eliminated, in its rows or above them.
+    """Rows of the triangular factor of an experiment: those of its own unknowns, or those that remain without them.
 
     Columns of the shared unknowns, their derivatives by the poles, and the outputs.
     """
@@ -130,7 +130,7 @@ class _Together:
     solve: Array
 
     def slopes(self, by_poles: Array) -> tuple[Array, Array]:
-        """What of derivatives by the poles the shared unknowns do not take up, and how these move along."""
+        """Derivatives by the poles without what the shared unknowns absorb, and how these then change."""
         along = self.basis.T @ by_poles
         return by_poles - self.basis @ along, -self.solve @ along
 
@@ -151,8 +151,8 @@ class FreeProjection(LinearProjection):
         self.p, self.x, self.d, self.sigma = p, self.sections.x, np.abs(p), -p.real
         self.sizes = self.sections.sizes()
         self.experiments = experiments
-        self.rows = sum(one.samples * len(one.outputs) for one in experiments)
-        self.inputs = max(int(one.acting.max(initial=-1)) + 1 for one in experiments)
+        self.rows = sum(rows.samples * len(rows.outputs) for rows in experiments)
+        self.inputs = max(int(rows.acting.max(initial=-1)) + 1 for rows in experiments)
         self.fed = fed
         self.region: PoleRegion | None = None  # at whose border poles may be
 
@@ -164,38 +164,38 @@ class FreeProjection(LinearProjection):
     @property
     def has_feedthrough(self) -> bool:
         """Whether something may be fed through."""
-        return any(one.through and one.inputs > 0 for one in self.experiments)
+        return any(rows.through and rows.inputs > 0 for rows in self.experiments)
 
     @property
     def shown(self) -> Mask:
         """Which numbers of `shared` leave a trace in any experiment."""
-        found = np.zeros(self.shared.shape, bool)
-        for one in self._groups:
-            found[:, one.outputs] = np.any(one.columns, axis=0, keepdims=True).T
-        return found
+        shown = np.zeros(self.shared.shape, bool)
+        for group in self._groups:
+            shown[:, group.outputs] = np.any(group.columns, axis=0, keepdims=True).T
+        return shown
 
     @cached_property
     def blind(self) -> Mask:
         """Numbers of `shared` in a combination that leaves no trace, as residues under an input of one sine."""
-        found = np.zeros(self.shared.shape, bool)
+        blind = np.zeros(self.shared.shape, bool)
         for group in self._groups:
             present = np.flatnonzero(np.any(group.columns, axis=0))
             null = null_space(group.columns[:, present], self.rows)
-            found[np.ix_(present, np.asarray(group.outputs))] = np.any(np.abs(null) > _TRACE, axis=0)[:, None]
-        return found
+            blind[np.ix_(present, np.asarray(group.outputs))] = np.any(np.abs(null) > _TRACE, axis=0)[:, None]
+        return blind
 
     @property
     def deficiency(self) -> int:
         """Number of combinations of `shared` that leave no trace."""
-        return sum((np.count_nonzero(np.any(one.columns, axis=0)) - one.basis.shape[1]) * len(one.outputs)
-                   for one in self._groups)  # fmt: skip
+        return sum((np.count_nonzero(np.any(group.columns, axis=0)) - group.basis.shape[1]) * len(group.outputs)
+                   for group in self._groups)  # fmt: skip
 
     @property
     def unknowns(self) -> int:
         """Number of real unknowns: poles, the shared ones that are shown, and those of each experiment and output."""
         real = int(np.sum(self.p.imag == 0))
         own = sum(
-            (one.own_unknowns(len(self.p)) - real * one.moving) * len(one.outputs) for one in self.experiments
+            (rows.own_unknowns(len(self.p)) - real * rows.moving) * len(rows.outputs) for rows in self.experiments
         )  # fmt: skip
         return len(self.x) + int(self.shown.sum()) + own
 
@@ -211,18 +211,18 @@ class FreeProjection(LinearProjection):
     def without_mode(self, k: int) -> FreeProjection:
         """The same without a mode, from the factors that are known."""
         n = len(self.p)
-        found = FreeProjection(self.experiments, np.delete(self.p, k), self.fed)
-        if any(one.own_unknowns(n) - one.own_unknowns(n - 1) != 2 * one.moving for one in self.experiments):
-            return found  # fewer modes leave unknowns to others
-        found.factors = []
+        projection = FreeProjection(self.experiments, np.delete(self.p, k), self.fed)
+        if any(rows.own_unknowns(n) - rows.own_unknowns(n - 1) != 2 * rows.moving for rows in self.experiments):
+            return projection  # fewer modes leave unknowns to others
+        projection.factors = []
         for rows, factor in zip(self.experiments, self.factors, strict=True):
             width, own = 2 * n + rows.through, rows.own_unknowns(n)
-            starts = [0] * rows.moving + [own + width * one for one in range(rows.inputs)]
+            starts = [0] * rows.moving + [own + width * i for i in range(rows.inputs)]
             slopes = own + width * rows.inputs
             starts += list(range(slopes, slopes + 2 * n * (rows.moving + rows.inputs), 2 * n))
             dropped = [start + place for start in starts for place in (k, n + k)]
-            found.factors.append(reduced(np.asfortranarray(np.delete(factor, dropped, axis=1))))
-        return found
+            projection.factors.append(reduced(np.asfortranarray(np.delete(factor, dropped, axis=1))))
+        return projection
 
     @cached_property
     def evidence(self) -> Array:
@@ -231,31 +231,31 @@ class FreeProjection(LinearProjection):
 
     @cached_property
     def _parts(self) -> list[tuple[Array, _ExperimentColumns, _ExperimentColumns]]:
-        """What turns the rows above into own unknowns, these rows, and those below, of each experiment."""
-        n, found = len(self.p), []
+        """Of each experiment the inverse that solves for own unknowns, their rows, and the remaining rows."""
+        n, parts = len(self.p), []
         for rows, factor in zip(self.experiments, self.factors, strict=True):
             part = eliminate(factor, rows.own_unknowns(n), rows.samples)
             above, below = (
-                _ExperimentColumns.of(rows, one, n, self._shared_unknowns) for one in (part.above, part.below)
+                _ExperimentColumns.of(rows, columns, n, self._shared_unknowns) for columns in (part.above, part.below)
             )
-            found.append((part.inverse, above, below))
-        return found
+            parts.append((part.inverse, above, below))
+        return parts
 
     @cached_property
     def _groups(self) -> list[_Together]:
         shown: dict[tuple[tuple[int, ...], tuple[int, ...]], list[int]] = {}
-        for output in range(1 + max(int(one.outputs.max()) for one in self.experiments)):
-            members = tuple(k for k, one in enumerate(self.experiments) if output in one.outputs)
+        for output in range(1 + max(int(rows.outputs.max()) for rows in self.experiments)):
+            members = tuple(k for k, rows in enumerate(self.experiments) if output in rows.outputs)
             shown.setdefault((members, self._held(output)), []).append(output)
-        found = []
+        groups = []
         for (members, held), outputs in shown.items():
             columns = np.concatenate([self._parts[k][2].shared for k in members])
             columns[:, list(held)] = 0.0
             targets = np.concatenate([self._parts[k][2].outputs[:, self._places(k, outputs)] for k in members])
             basis, solve = orthogonal(columns, self.rows)
             solve[list(held)] = 0.0
-            found.append(_Together(outputs, members, columns, targets, basis, solve))
-        return found
+            groups.append(_Together(outputs, members, columns, targets, basis, solve))
+        return groups
 
     def _held(self, output: int) -> tuple[int, ...]:
         """Places of what is not fed through to an output among the shared unknowns."""
@@ -266,23 +266,23 @@ class FreeProjection(LinearProjection):
 
     def _places(self, experiment: int, outputs: list[int]) -> Indices:
         """Places of outputs among those of an experiment."""
-        return np.array([np.flatnonzero(self.experiments[experiment].outputs == one)[0] for one in outputs])
+        return np.array([np.flatnonzero(self.experiments[experiment].outputs == output)[0] for output in outputs])
 
     @cached_property
     def shared(self) -> Array:
         """Real and imaginary parts of the residues and what is fed through of each input, shape (.., outputs)."""
-        found = np.zeros((self._shared_unknowns, sum(len(one.outputs) for one in self._groups)))
-        for one in self._groups:
-            found[:, one.outputs] = one.solve @ (one.basis.T @ one.targets)
-        return found
+        shared = np.zeros((self._shared_unknowns, sum(len(group.outputs) for group in self._groups)))
+        for group in self._groups:
+            shared[:, group.outputs] = group.solve @ (group.basis.T @ group.targets)
+        return shared
 
     @property
     def shared_errors(self) -> Array:
         """Standard errors of `shared` for known poles and rows of variance 1."""
-        found = np.zeros(self.shared.shape)
-        for one in self._groups:
-            found[:, one.outputs] = np.linalg.norm(one.solve, axis=1)[:, None]
-        return found
+        errors = np.zeros(self.shared.shape)
+        for group in self._groups:
+            errors[:, group.outputs] = np.linalg.norm(group.solve, axis=1)[:, None]
+        return errors
 
     @property
     def fed_through(self) -> Mask:
@@ -313,15 +313,15 @@ class FreeProjection(LinearProjection):
 
     @cached_property
     def losses(self) -> Array:
-        """Sum of squares of what is left of each output."""
-        found = np.zeros(sum(len(one.outputs) for one in self._groups))
-        for one in self._groups:
-            found[one.outputs] = np.sum(without(one.targets, one.basis) ** 2, axis=0)
-        return found
+        """Sum of squared residuals of each output."""
+        losses = np.zeros(sum(len(group.outputs) for group in self._groups))
+        for group in self._groups:
+            losses[group.outputs] = np.sum(without(group.targets, group.basis) ** 2, axis=0)
+        return losses
 
     @cached_property
     def loss(self) -> float:
-        """That of all outputs."""
+        """Sum of squared residuals of all outputs."""
         return float(self.losses.sum())
 
     def predicted(self) -> list[NDArray[Any]]:
@@ -332,7 +332,9 @@ class FreeProjection(LinearProjection):
         """Outputs (q, T) at all instants or frequencies of each experiment."""
         pairs = zip(self.experiments, self.own, strict=True)
         n = len(self.p)
-        return [one.at(self.p).predict(self.shared[np.ix_(places_of(one, n), one.outputs)], own) for one, own in pairs]
+        return [
+            rows.at(self.p).predict(self.shared[np.ix_(places_of(rows, n), rows.outputs)], own) for rows, own in pairs
+        ]
 
     def own_covariances(self, experiment: int, covariance: Array, variance: float) -> list[tuple[Array, Array]]:
         """Covariances of what belongs to an experiment, for each output, from that of poles and `shared`.
@@ -351,21 +353,21 @@ class FreeProjection(LinearProjection):
 
     def _slopes(self, group: _Together, output: int) -> Array:
         """Derivatives of an output by imaginary and real parts of the poles, in the rows of its group."""
-        found = []
+        slopes = []
         for k in group.experiments:
             rows, own = self.experiments[k], self.own[k][:, self._places(k, [output])[0]]
-            found.append(by_poles(self._parts[k][2].derivatives, rows, own, self.residues[:, output]))
-        return np.concatenate(found)
+            slopes.append(by_poles(self._parts[k][2].derivatives, rows, own, self.residues[:, output]))
+        return np.concatenate(slopes)
 
     def delay_slopes(self, output: int) -> Array:
         """Derivative of an output by its delay, per unit time, in the rows of its group."""
-        (group,) = (one for one in self._groups if output in one.outputs)
-        found = []
+        (group,) = (group for group in self._groups if output in group.outputs)
+        slopes = []
         for k in group.experiments:
             own = self.own[k][:, self._places(k, [output])[0]]
             parts = self._parts[k][2], self.experiments[k], self.p
-            found.append(by_delay(*parts, own, self.residues[:, output], self.feedthrough[output]))
-        return np.concatenate(found)
+            slopes.append(by_delay(*parts, own, self.residues[:, output], self.feedthrough[output]))
+        return np.concatenate(slopes)
 
     @cached_property
     def condensed(self) -> tuple[Array, Array]:
@@ -402,45 +404,47 @@ class FreeProjection(LinearProjection):
         n, width, by = len(self.p), self._shared_unknowns, self.sections.pole_slopes
         along = np.zeros((2 * n + self.shared.size, len(self.x)))
         along[: 2 * n] = by
-        left, places = [np.zeros((0, len(self.x)))], {}
+        remainders, places = [np.zeros((0, len(self.x)))], {}
         for group in self._groups:
             for output in group.outputs:
                 rest, moved = group.slopes(self._slopes(group, output) @ by)
                 places[output] = slice(2 * n + output * width, 2 * n + (output + 1) * width)
                 along[places[output]] = moved
-                left.append(rest)
-        found = along @ inverse_gram(np.concatenate(left)) @ along.T if n else np.zeros((self.shared.size,) * 2)
+                remainders.append(rest)
+        covariance = (
+            along @ inverse_gram(np.concatenate(remainders)) @ along.T if n else np.zeros((self.shared.size,) * 2)
+        )
         for group in self._groups:
             for output in group.outputs:
-                found[places[output], places[output]] += group.solve @ group.solve.T
-        return variance * found
+                covariance[places[output], places[output]] += group.solve @ group.solve.T
+        return variance * covariance
 
 
 class GivenResidues(FreeProjection):
     """The same poles with `shared` unknowns that are given: only what belongs to each experiment is at its best."""
 
-    def __init__(self, at: FreeProjection, shared: Array) -> None:
-        super().__init__(at.experiments, at.p, at.fed, at.sections)
-        self._parts, self._groups, self.shared = at._parts, at._groups, shared
+    def __init__(self, projection: FreeProjection, shared: Array) -> None:
+        super().__init__(projection.experiments, projection.p, projection.fed, projection.sections)
+        self._parts, self._groups, self.shared = projection._parts, projection._groups, shared
 
     @cached_property
     def loss(self) -> float:
-        """Sum of squares of what is left."""
+        """Sum of squared residuals of all outputs."""
         return float(self.losses.sum())
 
     @cached_property
     def losses(self) -> Array:
-        """That of each output."""
-        found = np.zeros(sum(len(one.outputs) for one in self._groups))
-        for one in self._groups:
-            found[one.outputs] = np.sum(self._left(one) ** 2, axis=0)
-        return found
+        """Sum of squared residuals of each output."""
+        losses = np.zeros(sum(len(group.outputs) for group in self._groups))
+        for group in self._groups:
+            losses[group.outputs] = np.sum(self._residual(group) ** 2, axis=0)
+        return losses
 
     @cached_property
     def condensed(self) -> tuple[Array, Array]:
         """Residual and its Jacobian by the coordinates, the shared unknowns at rest."""
         along = self.sections.pole_slopes
-        rows = [np.column_stack([slopes @ along, left]) for _, left, slopes, _ in self.sensitivities()]
+        rows = [np.column_stack([slopes @ along, residual]) for _, residual, slopes, _ in self.sensitivities()]
         R = reduced(np.asfortranarray(np.concatenate(rows)))
         return R[:, -1], R[:, :-1]
 
@@ -450,11 +454,11 @@ class GivenResidues(FreeProjection):
         What belongs to each experiment moves along; the gradient and the information are those of all unknowns.
         """
         for group in self._groups:
-            left = self._left(group)
+            residual = self._residual(group)
             for place, output in enumerate(group.outputs):
-                yield output, left[:, place], -self._slopes(group, output), -group.columns
+                yield output, residual[:, place], -self._slopes(group, output), -group.columns
 
-    def _left(self, group: _Together) -> Array:
+    def _residual(self, group: _Together) -> Array:
         return np.asarray(group.targets - group.columns @ self.shared[:, group.outputs])
 
 
@@ -470,14 +474,16 @@ def by_poles(derivatives: Array, rows: FreeRows, own: Array, residues: ComplexAr
     `own` unknowns are those of the output, as are its `residues` (n, inputs).
     """
     n = len(residues)
-    found = np.zeros((len(derivatives), n), complex)
+    slopes = np.zeros((len(derivatives), n), complex)
     amplitudes = [own[:n] + 1j * own[n : 2 * n]] if rows.moving else []
     amplitudes += list(residues.T[rows.acting])
-    for k, one in enumerate(amplitudes):
+    for k, amplitude in enumerate(amplitudes):
         first, second = derivatives[:, 2 * k * n : (2 * k + 1) * n], derivatives[:, (2 * k + 1) * n : (2 * k + 2) * n]
         # derivative along the real axis; along the imaginary one the coefficient turns by a quarter
-        found += first * one.real + second * one.imag + 1j * (second * one.real - first * one.imag)
-    return np.concatenate([found.imag, found.real], axis=1)
+        slopes += (
+            first * amplitude.real + second * amplitude.imag + 1j * (second * amplitude.real - first * amplitude.imag)
+        )
+    return np.concatenate([slopes.imag, slopes.real], axis=1)
 
 
 def by_delay(
@@ -492,14 +498,14 @@ def by_delay(
     residues, through = residues[:, rows.acting], through[rows.acting]
     turned, direct = -p[:, None] * residues, -2.0 * residues.real.sum(axis=0)[None]
     weights = np.concatenate([turned.real, turned.imag, *[direct] * rows.through]).T.ravel()
-    found = columns.shared[:, places_of(rows, n)] @ weights
+    slope = columns.shared[:, places_of(rows, n)] @ weights
     rest = columns.derivatives[:, 2 * n * (rows.moving + rows.inputs) :]
     if isinstance(rows, FreeResponse):
         first = -through if rows.through else direct[0]
-        return np.asarray(found + rest @ np.concatenate([first, -own]))
+        return np.asarray(slope + rest @ np.concatenate([first, -own]))
     if isinstance(rows, FreeRecord) and rest.shape[1]:
-        found = found - rest @ through / rows.hold.h
-    return np.asarray(found)
+        slope = slope - rest @ through / rows.hold.h
+    return np.asarray(slope)
 
 
 # --- the non-linear one ----------------------------------------------------------------------------------------------
@@ -518,22 +524,22 @@ class FreeProblem:
     @property
     def samples(self) -> int:
         """Number of real equations."""
-        return sum(one.samples * len(one.outputs) for one in self.experiments)
+        return sum(rows.samples * len(rows.outputs) for rows in self.experiments)
 
     def project(self, x: Array) -> FreeProjection:
         """Best residues for these poles."""
         sections = Sections.from_coordinates(x)
-        found = FreeProjection(self.experiments, sections.p, self.fed, sections)
-        found.region = self.region
-        return found
+        projection = FreeProjection(self.experiments, sections.p, self.fed, sections)
+        projection.region = self.region
+        return projection
 
     def inside(self, x: Array) -> Array:
         """Poles brought to where they are allowed."""
         return self.region.inside(x)
 
-    def reach(self, at: FreeProjection) -> Array:
+    def reach(self, projection: FreeProjection) -> Array:
         """Widths of the basins."""
-        return self.region.reach(at.sections)
+        return self.region.reach(projection.sections)
 
 
 def refine_free(
@@ -564,7 +570,7 @@ def _averaged(progress: Progress, samples: int) -> Progress:
 
 
 def _first_decay(make: Make, p: ComplexArray, k: int, region: PoleRegion) -> complex:
-    """Pole k with the decay rate, of some, that leaves least beside the others."""
+    """Pole k with the one of some decay rates that gives the smallest loss beside the other poles."""
     known = np.where(np.isnan(p.real), -region.bin, p.real) + 1j * p.imag
     widest = 0.3 * max(p[k].imag, 4 * region.bin)
     rates = [width * region.bin for width in TUNING.decay_rates if width * region.bin <= widest]

@@ -76,11 +76,11 @@ def predicted_outputs(
     Each may come later by a `delay` (q,); where it is negative the last input lasts.
     """
     if delay is not None and delay.any():
-        found = np.empty((len(delay), u.shape[1]))
+        outputs = np.empty((len(delay), u.shape[1]))
         for late in np.unique(delay):
             which = delay == late
-            found[which] = _late_outputs(p, residues[:, which], through[which], u, hold, float(late))
-        return found
+            outputs[which] = _late_outputs(p, residues[:, which], through[which], u, hold, float(late))
+        return outputs
     return _late_outputs(p, residues, through, u, hold, 0.0)
 
 
@@ -122,20 +122,22 @@ def moved_freely(p: ComplexArray, motion: ComplexArray, hold: Hold, samples: int
 def estimated_motion(
     p: ComplexArray, record: Recording, forced: Array, hold: Hold, offset: bool, delay: Array
 ) -> Array:
-    """Free motion, and constant, that fit what is left of the outputs best, at all samples, (q, T)."""
+    """Free motion, and constant, fitted to the outputs without their forced part, at all samples, (q, T)."""
     nothing, first = np.zeros((1, record.samples)), unknown_samples(delay, hold.h)
     observed = record.observed & (np.arange(record.samples) >= first[:, None])
-    left = np.where(observed, record.y - forced, 0.0)
-    rows = FreeRecord.by_observation(nothing, left, observed, hold, offset=int(offset), driven=False)
-    found = np.zeros(left.shape)
-    for one in rows:
-        at = FreeProjection([replace(one, outputs=np.arange(len(one.outputs)))], p)
-        found[one.outputs] = at.predictions()[0]
-        unknown = first[one.outputs]
+    residual = np.where(observed, record.y - forced, 0.0)
+    rows = FreeRecord.by_observation(nothing, residual, observed, hold, offset=int(offset), driven=False)
+    motion = np.zeros(residual.shape)
+    for group in rows:
+        projection = FreeProjection([replace(group, outputs=np.arange(len(group.outputs)))], p)
+        motion[group.outputs] = projection.predictions()[0]
+        unknown = first[group.outputs]
         if unknown.any():
-            own, n = at.own[0], len(p)
+            own, n = projection.own[0], len(p)
             before = moved_freely(p, 2 * (own[:n] + 1j * own[n : 2 * n]), hold, int(unknown.max()), unknown)
             before += own[-1][:, None] if offset else 0.0
             some = np.arange(before.shape[1])
-            found[one.outputs, : len(some)] = np.where(some < unknown[:, None], before, found[one.outputs, : len(some)])
-    return found
+            motion[group.outputs, : len(some)] = np.where(
+                some < unknown[:, None], before, motion[group.outputs, : len(some)]
+            )
+    return motion

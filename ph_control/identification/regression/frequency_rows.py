@@ -218,7 +218,7 @@ def background_columns(terms: Sequence[Term], omega: Array) -> ComplexArray:
     """Values (len(terms), K) of terms; at a frequency of 0 those of the lowest other."""
     lowest = omega[omega > 0].min(initial=np.inf)
     s = 1j * np.where(omega > 0, omega, lowest if np.isfinite(lowest) else 1.0)
-    columns = [(1j if one.turned else 1.0) * s**one.power for one in terms]
+    columns = [(1j if term.turned else 1.0) * s**term.power for term in terms]
     return np.asarray(columns, complex).reshape(len(terms), len(omega))
 
 

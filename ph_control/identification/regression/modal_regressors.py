@@ -65,7 +65,7 @@ class SampledModes(Multipliers):
 
     def weighted(self, weight: ComplexArray, slope: ComplexArray) -> SampledModes:
         """The same for inputs with a weight that changes with the pole by a slope."""
-        found = replace(
+        modes = replace(
             self,
             b0=weight * self.b0,
             b1=weight * self.b1,
@@ -73,8 +73,8 @@ class SampledModes(Multipliers):
             b1_slope=weight * self.b1_slope + slope * self.b1,
         )
         if self.ahead is None or self.ahead_slope is None:
-            return found
-        return replace(found, ahead=weight * self.ahead, ahead_slope=weight * self.ahead_slope + slope * self.ahead)
+            return modes
+        return replace(modes, ahead=weight * self.ahead, ahead_slope=weight * self.ahead_slope + slope * self.ahead)
 
 
 def output_weight(d: Array, quantity: str) -> tuple[ComplexArray, ComplexArray]:
@@ -200,8 +200,8 @@ class Kernel:
             free = turns[:, :-1] * modes.powers(np.array([float(first)])) if first else turns[:, :-1]
             free_slope = (modes.turn[:, None] * (first + SHORT * np.arange(float(count)))) * free
             if last is not None:
-                next_one = inputs[:, part.stop] if part.stop < samples else last
-                groups = with_next(groups, part.stop - part.start, next_one)
+                next_sample = inputs[:, part.stop] if part.stop < samples else last
+                groups = with_next(groups, part.stop - part.start, next_sample)
             yield GroupStates(part, groups, driven[..., :-1], driven_slope[..., :-1], free, free_slope)
             state, slope = driven[..., -1], driven_slope[..., -1]
 
@@ -225,7 +225,9 @@ class Kernel:
         for place, (amplitudes, within) in enumerate(columns.turned):
             here = out[place * self.n : (place + 1) * self.n]
             motion = self.motion[:, : 2 * len(amplitudes)]
-            weights = np.concatenate([part for one in amplitudes for part in ([one.real], [one.imag])])
+            weights = np.concatenate(
+                [part for amplitude in amplitudes for part in ([amplitude.real], [amplitude.imag])]
+            )
             if within is None:
                 np.matmul(np.moveaxis(weights, 0, 2), motion, out=here)
             else:
@@ -247,12 +249,12 @@ def _response(now: ComplexArray, later: ComplexArray, ahead: ComplexArray | None
     return np.ascontiguousarray(rows[:, : SHORT + (ahead is not None)])
 
 
-def with_next(groups: Array, samples: int, next_one: Array) -> Array:
+def with_next(groups: Array, samples: int, next_sample: Array) -> Array:
     """Groups (m, count, SHORT) of so many samples with the first sample after each, (m, count, SHORT + 1)."""
     after = np.concatenate([groups[:, 1:, :1], np.zeros((len(groups), 1, 1))], axis=1)
-    found = np.concatenate([groups, after], axis=2)
-    found[:, -1, samples - SHORT * (groups.shape[1] - 1)] = next_one
-    return found
+    extended = np.concatenate([groups, after], axis=2)
+    extended[:, -1, samples - SHORT * (groups.shape[1] - 1)] = next_sample
+    return extended
 
 
 def in_groups(signal: Array) -> Array:

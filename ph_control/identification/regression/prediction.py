@@ -109,7 +109,7 @@ class ResponseBackground(Frozen):
 
     def _of_displacement(self, power: int) -> Array:
         differentiated = {"velocity": 1, "acceleration": 2}
-        places = [power + differentiated.get(one, 0) + 2 for one in self.quantities]
+        places = [power + differentiated.get(quantity, 0) + 2 for quantity in self.quantities]
         return np.asarray(self.coefficients[places, np.arange(len(places))].real)
 
     def response(self, omega: Array) -> ComplexArray:
@@ -225,7 +225,7 @@ class FittedExperiment(FittedData):
 
 
 def pieces(pairs: Pairs) -> Iterator[tuple[Array, NDArray[Any], NDArray[Any]]]:
-    """Weights of values block by block, 0 where one is missing, the values, and what is left of them, 0 there."""
+    """Weights, measured values and residuals block by block; all 0 where a value is missing."""
     for record, predicted in pairs:
         for part in blocks(record.samples, predicted[..., 0].size):
             measured, values = np.asarray(record.measured[..., part]), predicted[..., part]
@@ -236,13 +236,13 @@ def pieces(pairs: Pairs) -> Iterator[tuple[Array, NDArray[Any], NDArray[Any]]]:
 
 
 def shares_left(pairs: Pairs) -> Array:
-    """Norm of what is left over that of `output - mean`, of each output or entry in all experiments, as weighted.
+    """Weighted norm of the residual over that of `output - mean`, of each output or entry in all experiments.
 
     An output that only rounds about its mean is held against its own size; NaN where nothing was measured.
     """
     unit: Any = 0.0
     worst: Any = 0.0
-    heaviest = count = total = sums = left = squares = about = 0.0
+    heaviest = count = total = sums = residual_squares = squares = about = 0.0
     for weights, measured, residuals in pieces(pairs):
         unit, worst = (
             np.maximum(size, np.abs(values).max(axis=-1, initial=0.0))
@@ -255,17 +255,17 @@ def shares_left(pairs: Pairs) -> Array:
         share, y = weights / (heaviest or 1.0), measured / unit[..., None]
         count, total = count + (share > 0).sum(axis=-1), total + share.sum(axis=-1)
         sums, squares = sums + np.sum(share * y, axis=-1), squares + np.sum(share * np.abs(y) ** 2, axis=-1)
-        left = left + np.sum(share * np.abs(residuals / worst[..., None]) ** 2, axis=-1)
+        residual_squares = residual_squares + np.sum(share * np.abs(residuals / worst[..., None]) ** 2, axis=-1)
     mean = np.asarray(sums / np.where(np.asarray(total) > 0, total, 1.0))[..., None]
     for weights, measured, _ in pieces(pairs):
         share = weights / (heaviest or 1.0)
         about = about + np.sum(share * np.abs(measured / unit[..., None] - mean) ** 2, axis=-1)
     size = np.sqrt(np.where(about <= _checks.EPS**2 * count, squares, about))
-    return np.where(size > 0, np.sqrt(left) / np.where(size > 0, size, 1.0) * (worst / unit), np.nan)
+    return np.where(size > 0, np.sqrt(residual_squares) / np.where(size > 0, size, 1.0) * (worst / unit), np.nan)
 
 
 def joint_percent(shares: Array) -> float:
-    """Fit of all outputs from the share of each that is left."""
+    """Fit of all outputs in per cent, from the unexplained share of each."""
     known = np.asarray(shares)[~np.isnan(shares)]
     return 100.0 * (1.0 - unit_norm(known, 1.0) / float(np.sqrt(known.size))) if known.size else np.nan
 

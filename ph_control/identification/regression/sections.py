@@ -66,8 +66,8 @@ class Sections:
 
     def moved(self, x: Array) -> Sections:
         """Sections with other coordinates, poles at the same places as long as each section is of the same kind."""
-        found = Sections.from_coordinates(x)
-        return replace(found, places=self.places, single=self.single) if found.keeps_kinds(self) else found
+        sections = Sections.from_coordinates(x)
+        return replace(sections, places=self.places, single=self.single) if sections.keeps_kinds(self) else sections
 
     def keeps_kinds(self, other: Sections) -> bool:
         """Whether the sections of another model have complex, or real poles as these."""
@@ -86,28 +86,28 @@ class Sections:
     @cached_property
     def p(self) -> ComplexArray:
         """Poles, at their places."""
-        found = np.empty(len(np.unique(self.places)) + len(self.single), complex)
+        poles = np.empty(len(np.unique(self.places)) + len(self.single), complex)
         slow, fast = self.places.T
-        found[fast] = np.where(self.square > 0, -self.decay + 1j * self.root, -self.decay - self.root)
+        poles[fast] = np.where(self.square > 0, -self.decay + 1j * self.root, -self.decay - self.root)
         overdamped = self.square <= 0
-        found[slow[overdamped]] = (self.root - self.decay)[overdamped]
-        found[self.single] = -self.rates
-        return found
+        poles[slow[overdamped]] = (self.root - self.decay)[overdamped]
+        poles[self.single] = -self.rates
+        return poles
 
     @cached_property
     def pole_slopes(self) -> Array:
         """Derivatives of imaginary, then real parts of the poles by the coordinates, shape (2n, len(x))."""
         n, k = len(self.p), len(self.decay)
-        found, section = np.zeros((2 * n, len(self.x))), np.arange(k)
+        slopes, section = np.zeros((2 * n, len(self.x))), np.arange(k)
         slow, fast = self.places.T
-        found[n + slow, section] = found[n + fast, section] = -1.0
+        slopes[n + slow, section] = slopes[n + fast, section] = -1.0
         half = 0.5 / self.root
         complex_pair = self.square > 0
-        found[fast[complex_pair], (k + section)[complex_pair]] = half[complex_pair]
-        found[(n + slow)[~complex_pair], (k + section)[~complex_pair]] = -half[~complex_pair]
-        found[(n + fast)[~complex_pair], (k + section)[~complex_pair]] = half[~complex_pair]
-        found[n + self.single, 2 * k + np.arange(len(self.rates))] = -1.0
-        return found
+        slopes[fast[complex_pair], (k + section)[complex_pair]] = half[complex_pair]
+        slopes[(n + slow)[~complex_pair], (k + section)[~complex_pair]] = -half[~complex_pair]
+        slopes[(n + fast)[~complex_pair], (k + section)[~complex_pair]] = half[~complex_pair]
+        slopes[n + self.single, 2 * k + np.arange(len(self.rates))] = -1.0
+        return slopes
 
     def sizes(self, bin: float = 0.0) -> Array:
         """Sizes of the coordinates."""

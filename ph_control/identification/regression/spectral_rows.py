@@ -77,7 +77,7 @@ class ChannelSpectra:
         last = np.abs(transform[..., -1]) ** 2 if self.length % 2 == 0 else 0.0
         return np.asarray((2 * inside + np.abs(transform[..., 0]) ** 2 + last) / self.length)
 
-    def left(
+    def residual(
         self, Y: ComplexArray, U: ComplexArray, modes: SampledModes, residues: NDArray[Any], motion: ComplexArray,
         through: Array,
     ) -> ComplexArray:  # fmt: skip
@@ -103,11 +103,11 @@ class ChannelSpectra:
     ) -> ComplexArray:
         """Transforms of the outputs (q, K) without what modes explain of them."""
         modes = self.record.modes(p)
-        left = self.left(self.Y, self.U, modes, residues, motion, through * (self.ahead is None))
+        residuals = self.residual(self.Y, self.U, modes, residues, motion, through * (self.ahead is None))
         if self.ahead is None or modes.ahead is None:
-            return left
+            return residuals
         seen = 2 * np.einsum("lqi,l->qi", residues, modes.ahead).real
-        return np.asarray(left - seen @ self.ahead - through @ self.direct)
+        return np.asarray(residuals - seen @ self.ahead - through @ self.direct)
 
 
 def _place(phase: tuple[Array, Array], length: int) -> Array:
@@ -117,9 +117,9 @@ def _place(phase: tuple[Array, Array], length: int) -> Array:
 class TransformColumns:
     """Columns of modes (n,) at bins (K,), or (n, K) of their own, that pass smoothly through the bins.
 
-    The ends are told by a motion `x`: `tau = (1 - lambda^T) x - sigma rho`.  The first factor has its zero, and `sigma`
-    takes from the column of the residue `rho` its pole, at the bin nearest to the mode.  Each complex coefficient has
-    two parts, of its own and of its conjugate, each of shape (n, K).
+    The ends of the record enter by a motion `x`: `tau = (1 - lambda^T) x - sigma rho`.  The first factor has its zero,
+    and `sigma` takes from the column of the residue `rho` its pole, at the bin nearest to the mode.  Each complex
+    coefficient has two parts, of its own and of its conjugate, each of shape (n, K).
     """
 
     def __init__(self, length: int, modes: SampledModes, bins: Indices) -> None:
@@ -153,10 +153,10 @@ class TransformColumns:
 
     def _numerators(self, U: ComplexArray, b0: ComplexArray, b1: ComplexArray) -> Pair:
         """What stands over the pole, 0 at the centre, and over its mirror."""
-        sigma, at = self._sigma(U, b0, b1), U[self._bins]
+        sigma, U_bins = self._sigma(U, b0, b1), U[self._bins]
         b0, b1 = b0[:, None], b1[:, None]
-        ahead = at * (b0 + b1 * self._z) - sigma * self._z
-        return ahead, at * (b0.conj() + b1.conj() * self._z) - sigma.conj() * self._z
+        ahead = U_bins * (b0 + b1 * self._z) - sigma * self._z
+        return ahead, U_bins * (b0.conj() + b1.conj() * self._z) - sigma.conj() * self._z
 
     def _sigma(self, U: ComplexArray, b0: ComplexArray, b1: ComplexArray) -> ComplexArray:
         """`sigma` of each mode, shape (n, 1)."""
@@ -191,18 +191,18 @@ class TransformColumns:
         """
         b0, b1 = self._modes.b0, self._modes.b1
         turned = (motion * (1 - self._back)).T
-        for k, one in enumerate(U):
-            turned = turned - residues[:, :, k].T * self._sigma(one, b0, b1)[:, 0]
-        found = self._z * self._over_poles(turned)
-        for k, one in enumerate(U):
+        for k, transform in enumerate(U):
+            turned = turned - residues[:, :, k].T * self._sigma(transform, b0, b1)[:, 0]
+        Y = self._z * self._over_poles(turned)
+        for k, transform in enumerate(U):
             still = self._over_poles(residues[:, :, k].T * b0) + through[:, k, None]
             if b1.any():
                 still += self._z * self._over_poles(residues[:, :, k].T * b1)
-            found += one[self._bins] * still
+            Y += transform[self._bins] * still
         place = np.searchsorted(self._bins, self._centre)
         (mode,) = np.nonzero(np.append(self._bins, -1)[place] == self._centre)
-        np.add.at(found.T, place[mode], motion[mode] * self._total[mode])
-        return np.asarray(found)
+        np.add.at(Y.T, place[mode], motion[mode] * self._total[mode])
+        return np.asarray(Y)
 
     def _over_poles(self, over: ComplexArray) -> ComplexArray:
         return np.asarray(over @ self._near + over.conj() @ self._far)

@@ -31,8 +31,8 @@ _LONG = 1 << 14  # samples from which on inner products are cheaper without colu
 def _shifted(signals: Array, seen: slice, samples: int) -> Array:
     """Signals (m, T) so many samples later, at the samples that are seen; 0 before the record."""
     first, last = seen.start - samples, seen.stop - samples
-    found = signals[:, max(0, first) : max(0, last)]
-    return np.concatenate([np.zeros((len(signals), -first)), found], axis=1) if first < 0 else found
+    shifted = signals[:, max(0, first) : max(0, last)]
+    return np.concatenate([np.zeros((len(signals), -first)), shifted], axis=1) if first < 0 else shifted
 
 
 def size_of(values: Array) -> float:
@@ -185,7 +185,7 @@ class FreeRecord:
         samples = time / self.hold.h
         samples = float(np.rint(samples)) if abs(samples - np.rint(samples)) < WHOLE else samples
         known = self.whole_record or WholeRecord(self.u, self.y, self.observed, 0, 0)
-        ends = [samples, *(one / self.hold.h for one in (least, most) if one is not None)]
+        ends = [samples, *(bound / self.hold.h for bound in (least, most) if bound is not None)]
         first = max(known.first, int(np.ceil(max(ends)))) * self.moving
         last = max(known.last, -int(np.floor(min(ends))))
         if not samples and not first and not last:
@@ -227,9 +227,9 @@ class FreeRecord:
         known = self.whole_record
         if known is None or not (known.first or known.last):
             return values
-        found = np.full((*values.shape[:-1], known.u.shape[-1]), np.nan)
-        found[..., known.first : known.u.shape[-1] - known.last] = values
-        return found
+        extended = np.full((*values.shape[:-1], known.u.shape[-1]), np.nan)
+        extended[..., known.first : known.u.shape[-1] - known.last] = values
+        return extended
 
     def motion_at_start(self, p: ComplexArray, residues: ComplexArray, own: Array) -> ComplexArray:
         """Free motions (n, q) at the first sample of the whole record, if all inputs before were 0.
@@ -263,8 +263,8 @@ class FreeRecord:
 
     def held(self, intersample: str) -> FreeRecord:
         """The record with inputs that behave otherwise between the samples."""
-        found = replace(self, hold=replace(self.hold, intersample=intersample))
-        return found.delayed(self.delay_time)
+        record = replace(self, hold=replace(self.hold, intersample=intersample))
+        return record.delayed(self.delay_time)
 
     @property
     def direct(self) -> Array:
@@ -285,8 +285,8 @@ class FreeRecord:
             whole = replace(
                 self, u=known.u, y=known.y, observed=known.observed, delay=0.0, late=0.0, ahead=None, whole_record=None
             )
-            return [one.delayed(self.delay_time) for one in whole.filtered(innovations)]
-        found = []
+            return [rows.delayed(self.delay_time) for rows in whole.filtered(innovations)]
+        records = []
         for row, output in enumerate(self.outputs.tolist()):
             b = innovations[output]
             u, y = (np.asarray(lfilter(b, 1.0, part, axis=-1)) for part in (self.u, self.measured[row : row + 1]))
@@ -297,8 +297,8 @@ class FreeRecord:
             record = replace(
                 self, u=u[:, part], y=y[:, part], observed=~missing[part], scale=None, outputs=self.outputs[[row]]
             )
-            found.append(record)
-        return found
+            records.append(record)
+        return records
 
     def at(self, p: ComplexArray) -> FreeTimeEvaluation:
         """The rows for modes with these poles."""
@@ -341,10 +341,10 @@ class RecordColumns(Evaluation):
     def predict(self, shared: Array, own: Array) -> Array:
         """Output at all samples, observed or not, shape (T,); of several outputs (q, T)."""
         weights = np.concatenate([own, shared[: len(shared) * self._driven]])
-        found = np.empty((*weights.T.shape[:-1], self._u.shape[1]))
+        outputs = np.empty((*weights.T.shape[:-1], self._u.shape[1]))
         for states, columns in self._pieces(False):
-            found[..., states.samples] = weights.T @ columns[: len(weights)]
-        return found
+            outputs[..., states.samples] = weights.T @ columns[: len(weights)]
+        return outputs
 
     def _offsets(self) -> list[Column]:
         terms: list[Column] = [("drift", 0), ("constant", 0)]
@@ -374,15 +374,15 @@ class RecordColumns(Evaluation):
     def _filled(self, states: GroupStates, layout: Sequence[Column]) -> Array:
         """Columns of a piece, those of the samples that pad the last group left out."""
         part, n = states.samples, self._kernel.n
-        sizes = [n * (1 + one.pair) if isinstance(one, ModalColumns) else 1 for one in layout]
+        sizes = [n * (1 + entry.pair) if isinstance(entry, ModalColumns) else 1 for entry in layout]
         block = np.empty((sum(sizes), states.inputs.shape[1], SHORT))
         flat = block.reshape(len(block), states.inputs.shape[1] * SHORT)[:, : part.stop - part.start]
         place = 0
-        for one, size in zip(layout, sizes, strict=True):
-            if isinstance(one, ModalColumns):
-                self._kernel.fill(one, states.inputs[one.input], block[place : place + size])
+        for entry, size in zip(layout, sizes, strict=True):
+            if isinstance(entry, ModalColumns):
+                self._kernel.fill(entry, states.inputs[entry.input], block[place : place + size])
             else:
-                flat[place] = self._plain(*one, part)
+                flat[place] = self._plain(*entry, part)
             place += size
         return flat
 
@@ -427,35 +427,35 @@ class RecordColumns(Evaluation):
 
     def _numbers(self, states: GroupStates, layout: Sequence[Column]) -> Array:
         """What the columns within each group are made of, shape (rows, count): see `_parts`."""
-        amplitudes = [each for one in layout if isinstance(one, ModalColumns) for each in one.amplitudes]
+        amplitudes = [each for entry in layout if isinstance(entry, ModalColumns) for each in entry.amplitudes]
         rows = [part for amplitude in amplitudes for part in (amplitude.real, amplitude.imag)]
         outputs = zip(self._y, self._scale, strict=True)
         signals = [*states.inputs, *(scale * in_groups(y[states.samples]) for y, scale in outputs)]
-        return np.concatenate([*rows, *(one.T for one in signals), np.ones((1, states.inputs.shape[1]))])
+        return np.concatenate([*rows, *(signal.T for signal in signals), np.ones((1, states.inputs.shape[1]))])
 
     def _parts(self, layout: Sequence[Column]) -> tuple[int, list[Modal], list[Shared]]:
         """Number of columns, and how they follow within a group from the numbers of the group."""
         n, motion = self._kernel.n, np.moveaxis(self._kernel.motion, 1, 0)
-        amplitudes = sum(len(one.amplitudes) for one in layout if isinstance(one, ModalColumns))
+        amplitudes = sum(len(entry.amplitudes) for entry in layout if isinstance(entry, ModalColumns))
         size_in = SHORT + (self._ahead is not None)
         sizes = [size_in] * len(self._u) + [SHORT] * len(self._y) + [1]
-        signals = [2 * n * amplitudes + int(one) for one in np.cumsum([0, *sizes[:-1]])]
+        signals = [2 * n * amplitudes + int(start) for start in np.cumsum([0, *sizes[:-1]])]
         # a sample, the one after it, and what these make of an input with a delay
         now, after = (np.eye(size_in, SHORT, -k)[None] for k in (0, size_in - SHORT))
         met = now if self._ahead is None else self._late * now + (1 - self._late) * after
         made = {"rise": after - now, "input": met, "constant": np.ones((1, 1, SHORT)), "output": np.eye(SHORT)[None]}
         modal, shared, column, row = [], [], 0, 0
-        for one in layout:
-            if not isinstance(one, ModalColumns):
-                kind, number = one
+        for entry in layout:
+            if not isinstance(entry, ModalColumns):
+                kind, number = entry
                 place = {"output": len(self._u) + number, "constant": -1}.get(kind, number)
                 first = signals[place]
                 shared.append(Shared(slice(column, column + 1), slice(first, first + sizes[place]), made[kind]))
                 column += 1
                 continue
-            for turn, (_, within) in enumerate(one.turned):
+            for turn, (_, within) in enumerate(entry.turned):
                 here = slice(column, column + n)
-                for k in range(len(one.amplitudes)):
+                for k in range(len(entry.amplitudes)):
                     real, imaginary = (slice(row + 2 * k * n + part * n, row + 2 * k * n + part * n + n)
                                        for part in (0, 1))  # fmt: skip
                     first, second = motion[2 * k], motion[2 * k + 1]
@@ -463,10 +463,10 @@ class RecordColumns(Evaluation):
                         first, second = second, -first
                     modal += [Modal(here, real, first), Modal(here, imaginary, second)]
                 if within is not None:
-                    inputs = signals[one.input]
+                    inputs = signals[entry.input]
                     shared.append(Shared(here, slice(inputs, inputs + size_in), within))
                 column += n
-            row += 2 * n * len(one.amplitudes)
+            row += 2 * n * len(entry.amplitudes)
         return column, modal, shared
 
 
@@ -501,34 +501,34 @@ def gram(size: int, modal: Sequence[Modal], shared: Sequence[Shared], inner: Arr
 
     Parts that name the same columns add up.  O(n^2) operations, whatever the number of groups.
     """
-    found = np.zeros((size, size))
+    products = np.zeros((size, size))
     # (m, place, row of V): what meets in a product of two columns is the place in the group
-    weights = [np.ascontiguousarray(one.weights.transpose(0, 2, 1)) for one in shared]
-    for first, one in zip(shared, weights, strict=True):
-        for second, two in zip(shared, weights, strict=True):
-            common = one @ inner[first.rows, second.rows]
-            found[first.columns, second.columns] += _flat(common) @ _flat(two).T
+    weights = [np.ascontiguousarray(block.weights.transpose(0, 2, 1)) for block in shared]
+    for first, first_weights in zip(shared, weights, strict=True):
+        for second, second_weights in zip(shared, weights, strict=True):
+            common = first_weights @ inner[first.rows, second.rows]
+            products[first.columns, second.columns] += _flat(common) @ _flat(second_weights).T
     if not modal:
-        return found
-    rows = np.concatenate([np.arange(len(inner))[one.rows] for one in modal])
-    phi = np.concatenate([one.phi for one in modal])
+        return products
+    rows = np.concatenate([np.arange(len(inner))[block.rows] for block in modal])
+    phi = np.concatenate([block.phi for block in modal])
     of_rows = inner[rows]
-    found += _summed(size, modal, _summed(size, modal, of_rows[:, rows] * (phi @ phi.T)).T)
-    for other, two in zip(shared, weights, strict=True):
+    products += _summed(size, modal, _summed(size, modal, of_rows[:, rows] * (phi @ phi.T)).T)
+    for other, other_weights in zip(shared, weights, strict=True):
         common = phi[:, :, None] * of_rows[:, None, other.rows]
-        part = _summed(size, modal, _flat(common) @ _flat(two).T)
-        found[:, other.columns] += part
-        found[other.columns] += part.T
-    return found
+        part = _summed(size, modal, _flat(common) @ _flat(other_weights).T)
+        products[:, other.columns] += part
+        products[other.columns] += part.T
+    return products
 
 
 def _summed(size: int, modal: Sequence[Modal], parts: Array) -> Array:
     """Rows of parts, one block for each entry of `modal`, added up to the columns that they belong to."""
-    found, first = np.zeros((size, parts.shape[1])), 0
-    for one in modal:
-        found[one.columns] += parts[first : first + len(one.phi)]
-        first += len(one.phi)
-    return found
+    sums, first = np.zeros((size, parts.shape[1])), 0
+    for block in modal:
+        sums[block.columns] += parts[first : first + len(block.phi)]
+        first += len(block.phi)
+    return sums
 
 
 def _flat(parts: Array) -> Array:

@@ -66,11 +66,11 @@ def _by_gram(gram: Array, guess: Array | None) -> tuple[Array, bool]:
             factor = factor + np.diag(np.where(np.abs(diagonal) < EPS, EPS, 0.0))
         failed = True
     trusted = not failed and float(np.abs(np.diag(factor)).min(initial=1.0)) >= _WELL_CONDITIONED
-    found = np.triu(factor) * lengths
-    found = found if guess is None else found @ guess
+    upper = np.triu(factor) * lengths
+    upper = upper if guess is None else upper @ guess
     if trusted:
-        found[empty, empty] = 0.0
-    return found, trusted
+        upper[empty, empty] = 0.0
+    return upper, trusted
 
 
 def reflect(blocks: Iterable[Array]) -> Array:

@@ -1,4 +1,4 @@
-"""Variable projection: what is left once residues and motions are eliminated, minimised by Levenberg-Marquardt."""
+"""Variable projection: residues and motions are eliminated, and the residual minimised by Levenberg-Marquardt."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ Progress = Callable[[int, float], None]  # iteration, loss
 _FLAT = 1e-9  # slope of the loss, relative to itself and to a step of its own size, at a minimum
 _STUCK = 1e16  # damping of steps of which none leads on
 
-At = TypeVar("At", bound=LinearProjection)
+Projection = TypeVar("Projection", bound=LinearProjection)
 
 
-class Minimisation(Protocol[At]):
+class Minimisation(Protocol[Projection]):
     """A loss over real numbers `x` that fix the poles."""
 
     @property
     def samples(self) -> int:
         """Number of real equations."""
 
-    def project(self, x: Array) -> At:
+    def project(self, x: Array) -> Projection:
         """The best linear unknowns at `x`."""
 
     def inside(self, x: Array) -> Array:
         """Numbers brought to where they are allowed."""
 
-    def reach(self, at: At) -> Array:
+    def reach(self, projection: Projection) -> Array:
         """Widths of the basins of the loss; no step is longer."""
 
 
 @dataclass
-class Refinement(Generic[At]):
+class Refinement(Generic[Projection]):
     """Where a Levenberg-Marquardt run stands, or has ended."""
 
-    projection: At
+    projection: Projection
     iterations: int = 0
     converged: bool = False
     damping: float = 1e-3
@@ -59,14 +59,14 @@ class Interrupted(KeyboardInterrupt):
 
 
 def refine(
-    problem: Minimisation[At],
+    problem: Minimisation[Projection],
     x: Array,
     *,
     rtol: float,
     max_iterations: int = 60,
     last: bool = True,
     progress: Progress | None = None,
-) -> Refinement[At]:
+) -> Refinement[Projection]:
     """Minimise the loss over `x` from a start within the basin of the minimum.
 
     Stops when a full step would reduce the loss by less than `rtol` of itself, or when steps drown in rounding; that
@@ -85,7 +85,7 @@ def refine(
     return end
 
 
-def _descend(problem: Minimisation[At], state: Refinement[At], rtol: float, last: bool) -> None:
+def _descend(problem: Minimisation[Projection], state: Refinement[Projection], rtol: float, last: bool) -> None:
     """One iteration of Levenberg and Marquardt, damped as Nielsen does."""
     current = state.projection
     state.iterations += 1
@@ -117,8 +117,8 @@ def _descend(problem: Minimisation[At], state: Refinement[At], rtol: float, last
         state.converged = state.converged or state.damping > _STUCK
 
 
-def _follow_secants(problem: Minimisation[At], state: Refinement[At]) -> None:
-    """The way to the minimum where much is left, so that the curvature is not that of the Jacobian alone (BFGS)."""
+def _follow_secants(problem: Minimisation[Projection], state: Refinement[Projection]) -> None:
+    """The way to the minimum where residuals are large, so that `J^T J` is not the curvature of the loss (BFGS)."""
     start, curvature = state.projection, np.diag(state.projection.gram)
     unit = np.minimum(problem.reach(start), np.sqrt(start.loss / np.where(curvature > 0, curvature, np.inf)))
     if not unit.any() or start.loss == 0:
@@ -127,15 +127,15 @@ def _follow_secants(problem: Minimisation[At], state: Refinement[At]) -> None:
 
     def relative(x: Array) -> tuple[float, Array]:
         nonlocal best
-        at = problem.project(problem.inside(start.x + unit * x))
-        best = at if at.loss < best.loss else best
-        return at.loss / start.loss, 2 * unit * at.gradient / start.loss
+        trial = problem.project(problem.inside(start.x + unit * x))
+        best = trial if trial.loss < best.loss else best
+        return trial.loss / start.loss, 2 * unit * trial.gradient / start.loss
 
-    found = minimize(relative, np.zeros(len(unit)), jac=True, method="BFGS", options={"gtol": _FLAT})
-    state.projection, state.iterations = best, state.iterations + int(found.nit)
+    outcome = minimize(relative, np.zeros(len(unit)), jac=True, method="BFGS", options={"gtol": _FLAT})
+    state.projection, state.iterations = best, state.iterations + int(outcome.nit)
     # where the loss rounds, steps end before the slope does
     slope = np.max(np.abs(unit * best.gradient)) / best.loss
-    state.converged = bool(found.success or slope < np.sqrt(problem.samples * EPS))
+    state.converged = bool(outcome.success or slope < np.sqrt(problem.samples * EPS))
 
 
 def _damped_step(gram: Array, scale: Array, damping: float, gradient: Array) -> Array:

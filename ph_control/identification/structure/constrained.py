@@ -40,7 +40,7 @@ _ITERATIONS = 60  # before it follows secants
 _FEW = 12  # in the tangent of a free fit, where three are usual
 
 
-_Residual = tuple[int, Array, Array, Array]  # of an output: what is left, its Jacobian by poles and by shared unknowns
+_Residual = tuple[int, Array, Array, Array]  # of an output: residual, Jacobian by poles, Jacobian by shared unknowns
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,20 +105,20 @@ class StructuredFit(Frozen):
 
 
 class Tangent:
-    """What the residuals of a free fit are near its minimum, where they are linear: no pass over the data."""
+    """Linearised residuals of a free fit about its minimum: they cost no pass over the data."""
 
-    def __init__(self, at: FreeProjection) -> None:
-        self._poles, self._shared, self._parts = at.pole_parts, at.shared, list[_Residual]()
-        for output, left, by_poles, by_shared in GivenResidues(at, at.shared).sensitivities():
-            R = reduced(np.asfortranarray(np.column_stack([by_poles, by_shared, left])))
-            self._parts.append((output, R[:, -1], R[:, : 2 * len(at.p)], R[:, 2 * len(at.p) : -1]))
+    def __init__(self, projection: FreeProjection) -> None:
+        self._poles, self._shared, self._parts = projection.pole_parts, projection.shared, list[_Residual]()
+        for output, residual, by_poles, by_shared in GivenResidues(projection, projection.shared).sensitivities():
+            R = reduced(np.asfortranarray(np.column_stack([by_poles, by_shared, residual])))
+            self._parts.append((output, R[:, -1], R[:, : 2 * len(projection.p)], R[:, 2 * len(projection.p) : -1]))
 
     def at(self, p: ComplexArray, shared: Array) -> TangentPoint:
         """The residuals at other poles and residues."""
         moved = np.concatenate([p.imag, p.real]) - self._poles
         return TangentPoint([
-            (output, left + by_poles @ moved + by_shared @ (shared - self._shared)[:, output], by_poles, by_shared)
-            for output, left, by_poles, by_shared in self._parts
+            (output, residual + by_poles @ moved + by_shared @ (shared - self._shared)[:, output], by_poles, by_shared)
+            for output, residual, by_poles, by_shared in self._parts
         ])  # fmt: skip
 
 
@@ -130,11 +130,11 @@ class TangentPoint:
 
     @property
     def loss(self) -> float:
-        """Sum of squares of what is left."""
-        return float(sum(left @ left for _, left, _, _ in self.parts))
+        """Sum of squared residuals."""
+        return float(sum(residual @ residual for _, residual, _, _ in self.parts))
 
     def sensitivities(self) -> Iterator[_Residual]:
-        """Each output with its residual and the Jacobian of it."""
+        """Each output with its residual and the Jacobians of this."""
         return iter(self.parts)
 
 
@@ -167,7 +167,7 @@ class ConstrainedProjection(LinearProjection):
         """Gram matrix of the Jacobian by the coordinates, and half the gradient."""
         size, poles = len(self.x), self._pole_derivatives
         gram, gradient = np.zeros((size, size)), np.zeros(size)
-        for output, left, by_poles, by_shared in self.data.sensitivities():
+        for output, residual, by_poles, by_shared in self.data.sensitivities():
             slopes = self.derivatives(output)
             # each output depends on its own part of the shapes
             near = np.flatnonzero(slopes.any(axis=0) | poles.any(axis=0))
@@ -176,23 +176,26 @@ class ConstrainedProjection(LinearProjection):
                 near = np.append(near, size - self.delays.count + self.delays.groups[output])
                 J = np.column_stack([J, -self.data.delay_slopes(output)])
             gram[np.ix_(near, near)] += J.T @ J
-            gradient[near] += J.T @ left
+            gradient[near] += J.T @ residual
         held = np.append(~self._problem.free, np.zeros(size - len(self._model), bool))
         gram[held] = gram[:, held] = gradient[held] = 0.0
         return gram, gradient
 
     def derivatives(self, output: int) -> Array:
-        """Of what `shared` has of an output, by the coordinates."""
-        of = self._problem.coordinates
-        found = of.derivatives(self._model, output, self._problem.start.has_feedthrough) / of.layout.scales[output]
-        return self._beside_delays(found)
+        """Derivatives by the coordinates of the `shared` unknowns of an output."""
+        coordinates = self._problem.coordinates
+        slopes = (
+            coordinates.derivatives(self._model, output, self._problem.start.has_feedthrough)
+            / coordinates.layout.scales[output]
+        )
+        return self._beside_delays(slopes)
 
     @property
     def _pole_derivatives(self) -> Array:
         return self._beside_delays(self._problem.coordinates.pole_derivatives(self._model))
 
     def _beside_delays(self, slopes: Array) -> Array:
-        """Derivatives by the coordinates of what does not depend on delays."""
+        """Derivatives of what does not depend on delays, with zero columns for these."""
         return np.pad(slopes, ((0, 0), (0, len(self.x) - len(self._model))))
 
     @cached_property
@@ -224,9 +227,9 @@ class ConstrainedProjection(LinearProjection):
     def delay_errors(self, variance: float) -> Array:
         """Standard errors of the delays."""
         kept, inner = self._inverse_gram
-        found = np.full(len(self.x), np.nan)
-        found[kept] = np.sqrt(variance * np.diag(inner))
-        return found[len(self._model) :]
+        errors = np.full(len(self.x), np.nan)
+        errors[kept] = np.sqrt(variance * np.diag(inner))
+        return errors[len(self._model) :]
 
     @cached_property
     def _inverse_gram(self) -> tuple[Indices, Array]:
@@ -276,24 +279,24 @@ class ConstrainedProblem:
             inside[k : 2 * k] = sign * np.maximum(sign * square, least)
         return np.concatenate([inside[coordinates.kept], x[len(coordinates.kept) :], delays])
 
-    def reach(self, at: ConstrainedProjection) -> Array:
-        """A bin and the half-width of a peak for poles; any for what is nearly linear."""
-        kept, found = self.coordinates.kept, np.full(len(at.x), np.inf)
-        found[: len(kept)] = self.region.reach(at.sections)[kept]
+    def reach(self, projection: ConstrainedProjection) -> Array:
+        """Longest steps: of poles a bin and the half-width of a peak; unlimited for what is nearly linear."""
+        kept, widths = self.coordinates.kept, np.full(len(projection.x), np.inf)
+        widths[: len(kept)] = self.region.reach(projection.sections)[kept]
         if self.delays is not None:
-            found[self.coordinates.size :] = self.delays.step
-        return found
+            widths[self.coordinates.size :] = self.delays.step
+        return widths
 
 
 def constrained(
-    at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion, iterations: int | None = None,
-    delays: Delays | None = None,
+    projection: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion,
+    iterations: int | None = None, delays: Delays | None = None,
 ) -> StructuredFit:  # fmt: skip
     """Fit a structure to the data of a free fit, and delays of the outputs where there are some.
 
     Parameters
     ----------
-    at : FreeProjection
+    projection : FreeProjection
         Minimum of the free fit over all that was measured.
     layout : ChannelLayout
         Inputs and outputs, their units and ports.
@@ -313,56 +316,58 @@ def constrained(
         By Levenberg's and Marquardt's method on the loss itself, O(T n^2) an iteration.  A passive model is the nearest
         in the metric of the information, there and once more at what it leads to.
     """
-    variance = at.loss / max(1, at.rows - at.unknowns)
-    coordinates = coordinates_of(at, layout, hypothesis)
+    variance = projection.loss / max(1, projection.rows - projection.unknowns)
+    coordinates = coordinates_of(projection, layout, hypothesis)
     if hypothesis == "free" and delays is None:
         return StructuredFit(
-            hypothesis, "free", at.p, *layout.split(at.shared, len(at.p)), None, None, at.loss,
-            coordinates.dof - at.deficiency, variance, at, True, at,
+            hypothesis, "free", projection.p, *layout.split(projection.shared, len(projection.p)), None, None,
+            projection.loss, coordinates.dof - projection.deficiency, variance, projection, True, projection,
         )  # fmt: skip
     if hypothesis == "passive":
-        return nearest_passive_fit(at, layout, lambda: constrained(at, layout, "classical", region, _ITERATIONS))
-    residues, through = layout.split(at.shared, len(at.p))
-    crowded = is_crowded(at, region)
+        return nearest_passive_fit(
+            projection, layout, lambda: constrained(projection, layout, "classical", region, _ITERATIONS)
+        )
+    residues, through = layout.split(projection.shared, len(projection.p))
+    crowded = is_crowded(projection, region)
     x = coordinates.start(residues, through)
-    if (at.deficiency or crowded) and isinstance(coordinates, ShapeCoordinates) and coordinates.real:
+    if (projection.deficiency or crowded) and isinstance(coordinates, ShapeCoordinates) and coordinates.real:
         # where data show sums of residues only, those of the free fit may have any sign and size
         residues = coordinates.turned_to_positive(residues)
         x = coordinates.start(residues, through)
-        x = _with_best_sizes(at, coordinates, x) if np.all(at.p.imag > 0) else x
-    problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x), delays=delays)
+        x = _with_best_sizes(projection, coordinates, x) if np.all(projection.p.imag > 0) else x
+    problem = ConstrainedProblem(coordinates, projection, region, coordinates.free(x), delays=delays)
     most, last = _ITERATIONS if iterations is None else iterations, iterations is None
     x = problem.inside(x if delays is None else np.append(x, delays.values))
-    if delays is None and not crowded and coordinates.sections_at(x).keeps_kinds(at.sections):
-        tangent = replace(problem, tangent=Tangent(at))
+    if delays is None and not crowded and coordinates.sections_at(x).keeps_kinds(projection.sections):
+        tangent = replace(problem, tangent=Tangent(projection))
         x = refine(tangent, x, rtol=TUNING.rough, max_iterations=max(most, _FEW), last=False).projection.x
-    found = refine(problem, x, rtol=_EXACT, max_iterations=most, last=last)
-    end = _at_bound(problem, found.projection) if found.converged else found.projection
-    if end is not found.projection:
-        found = refine(problem, end.x, rtol=_EXACT, max_iterations=most, last=last)
-        end = found.projection
+    refinement = refine(problem, x, rtol=_EXACT, max_iterations=most, last=last)
+    end = _at_bound(problem, refinement.projection) if refinement.converged else refinement.projection
+    if end is not refinement.projection:
+        refinement = refine(problem, end.x, rtol=_EXACT, max_iterations=most, last=last)
+        end = refinement.projection
     known = end.x[: coordinates.size]
     shapes, participation = coordinates.shapes(known) if isinstance(coordinates, ShapeCoordinates) else (None, None)
     parameters = coordinates.dof - end.deficiency + (0 if delays is None else delays.count)
     return StructuredFit(
         hypothesis, STRUCTURES[hypothesis], end.p, end.residues, end.feedthrough, shapes, participation, end.loss,
-        parameters, variance, cast(GivenResidues, end.data), found.converged, end, end.delays,
+        parameters, variance, cast(GivenResidues, end.data), refinement.converged, end, end.delays,
     )  # fmt: skip
 
 
-def is_crowded(at: FreeProjection, region: PoleRegion) -> bool:
+def is_crowded(projection: FreeProjection, region: PoleRegion) -> bool:
     """Whether some complex poles are closer than a bin: structures of these are far from linear, and start anywhere."""
-    return bool(np.all(at.p.imag > 0) and np.any(np.diff(np.sort(at.p.imag)) < region.bin))
+    return bool(np.all(projection.p.imag > 0) and np.any(np.diff(np.sort(projection.p.imag)) < region.bin))
 
 
-def _with_best_sizes(at: FreeProjection, coordinates: ShapeCoordinates, x: Array) -> Array:
+def _with_best_sizes(projection: FreeProjection, coordinates: ShapeCoordinates, x: Array) -> Array:
     """Coordinates with each mode as large, with its shape and pole, as explains most of the data."""
     sections, residues, through = coordinates.model(x)
-    data = FreeProjection(at.experiments, sections.p, at.fed, sections)
+    data = FreeProjection(projection.experiments, sections.p, projection.fed, sections)
     layout, rows, targets = coordinates.layout, [], []
     modes = [np.where(np.arange(len(residues)) == l, 1.0, 0.0)[:, None, None] * residues for l in range(len(residues))]
-    each = [layout.joined(mode, 0 * through, at.has_feedthrough) for mode in modes]
-    rest = layout.joined(0 * residues, through, at.has_feedthrough)
+    each = [layout.joined(mode, 0 * through, projection.has_feedthrough) for mode in modes]
+    rest = layout.joined(0 * residues, through, projection.has_feedthrough)
     for output, target, _, by_shared in GivenResidues(data, rest).sensitivities():
         rows.append(np.stack([-by_shared @ mode[:, output] for mode in each], axis=1))
         targets.append(target)
@@ -371,34 +376,39 @@ def _with_best_sizes(at: FreeProjection, coordinates: ShapeCoordinates, x: Array
     return coordinates.start(np.maximum(sizes, least)[:, None, None] * residues, through)
 
 
-def _at_bound(problem: ConstrainedProblem, at: ConstrainedProjection) -> ConstrainedProjection:
-    """The same with weights of a single port exactly 0 that come so near in steps: coordinates are roots of them."""
-    of = problem.coordinates
-    if not isinstance(of, ShapeCoordinates) or not of.is_port_alone:
-        return at
-    first, roots = len(of.kept), of.residue_values(at.x)[:, 0]
-    effects = np.diag(at.gram)[first:][: len(roots)] * roots**2
-    for k in np.flatnonzero((roots != 0) & (effects < _WEAK**2 * at.loss / problem.samples)).tolist():
-        x = at.x.copy()
+def _at_bound(problem: ConstrainedProblem, projection: ConstrainedProjection) -> ConstrainedProjection:
+    """The same with weights of a single port set to 0 where they tend to 0: steps in their roots never get there."""
+    coordinates = problem.coordinates
+    if not isinstance(coordinates, ShapeCoordinates) or not coordinates.is_port_alone:
+        return projection
+    first, roots = len(coordinates.kept), coordinates.residue_values(projection.x)[:, 0]
+    effects = np.diag(projection.gram)[first:][: len(roots)] * roots**2
+    for k in np.flatnonzero((roots != 0) & (effects < _WEAK**2 * projection.loss / problem.samples)).tolist():
+        x = projection.x.copy()
         x[first + k] = 0.0
         without = problem.project(x)
-        if without.loss <= at.loss * (1 + _EXACT):
-            at = without
-    return at
+        if without.loss <= projection.loss * (1 + _EXACT):
+            projection = without
+    return projection
 
 
 def nearest_passive_fit(
-    at: FreeProjection, layout: ChannelLayout, classical: Callable[[], StructuredFit], most: float = np.inf
+    projection: FreeProjection, layout: ChannelLayout, classical: Callable[[], StructuredFit], most: float = np.inf
 ) -> StructuredFit:
     """Nearest passive model; that with classical damping where the way from the free one does not lead to any.
 
     Nor does it where the squared distance is beyond the `most`, in standard errors.
     """
-    variance = at.loss / max(1, at.rows - at.unknowns)
-    point, unknowns = nearest_passive(at, layout, variance, most), coordinates_of(at, layout, "free").dof
+    variance = projection.loss / max(1, projection.rows - projection.unknowns)
+    point, unknowns = (
+        nearest_passive(projection, layout, variance, most),
+        coordinates_of(projection, layout, "free").dof,
+    )
     if point is None:
         near = classical()
-        point = made_passive(at, layout, near.projection, unknowns - near.parameters, near.covariance / variance)
+        point = made_passive(
+            projection, layout, near.projection, unknowns - near.parameters, near.covariance / variance
+        )
     data, parameters = point.data, unknowns - point.active
     return StructuredFit(
         "passive", STRUCTURES["passive"], data.p, *layout.split(data.shared, len(data.p)), None, None, data.loss,
@@ -406,9 +416,9 @@ def nearest_passive_fit(
     )  # fmt: skip
 
 
-def coordinates_of(at: FreeProjection, layout: ChannelLayout, hypothesis: str) -> StructureCoordinates:
+def coordinates_of(projection: FreeProjection, layout: ChannelLayout, hypothesis: str) -> StructureCoordinates:
     """Coordinates of the models of a hypothesis, for what the data show."""
-    n, shown, sections = len(at.p), at.shown, at.sections
+    n, shown, sections = len(projection.p), projection.shown, projection.sections
     residues, through = layout.split(shown.astype(float), n)
     entries, fed = np.any(residues, axis=0, keepdims=True)[0], through != 0
     if hypothesis == "lossless":

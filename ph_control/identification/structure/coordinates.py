@@ -78,9 +78,9 @@ class StructureCoordinates:
 
     def sections_at(self, x: Array) -> Sections:
         """Sections of a model."""
-        of = self.sections.x * (self.damped or np.repeat([0.0, 1.0, 0.0], self._counts))
-        of[self.kept] = x[: self._poles]
-        return self.sections.moved(of)
+        coordinates = self.sections.x * (self.damped or np.repeat([0.0, 1.0, 0.0], self._counts))
+        coordinates[self.kept] = x[: self._poles]
+        return self.sections.moved(coordinates)
 
     @property
     def _counts(self) -> tuple[int, int, int]:
@@ -121,11 +121,11 @@ class StructureCoordinates:
 
     def sizes(self, x: Array, bin: float) -> Array:
         """Sizes of the coordinates, in which steps are compared: of a value of residues its largest in any mode."""
-        found, largest = np.abs(x), np.abs(self.residue_values(x)).max(axis=0, initial=0.0)
-        found[: self._poles] = self.sections_at(x).sizes(bin)[self.kept]
+        sizes, largest = np.abs(x), np.abs(self.residue_values(x)).max(axis=0, initial=0.0)
+        sizes[: self._poles] = self.sections_at(x).sizes(bin)[self.kept]
         each = np.tile(largest, self._units * (2 - self.real))
-        found[self._poles : self._poles + len(each)] = each
-        return found
+        sizes[self._poles : self._poles + len(each)] = each
+        return sizes
 
     def matrices(self, values: NDArray[Any]) -> NDArray[Any]:
         """Residues over their factor, shape (units, p, m)."""
@@ -135,11 +135,11 @@ class StructureCoordinates:
         """Which unit each pole belongs to."""
         if not self.real:
             return np.arange(len(sections.p))
-        found = np.empty(len(sections.p), int)
+        units = np.empty(len(sections.p), int)
         for k, places in enumerate(sections.places):
-            found[places] = k
-        found[sections.single] = len(sections.places) + np.arange(len(sections.single))
-        return found
+            units[places] = k
+        units[sections.single] = len(sections.places) + np.arange(len(sections.single))
+        return units
 
     def _factor(self, sections: Sections) -> ComplexArray:
         """`g`, shape (n, p, 1); of real poles half, as they are their own conjugates."""
@@ -156,21 +156,21 @@ class StructureCoordinates:
         """Derivatives of the logarithm of `g` by the coordinates of the poles, shape (n, p, coordinates)."""
         p, k, n = sections.p, len(sections.decay), len(sections.p)
         by = sections.pole_slopes[n:] + 1j * sections.pole_slopes[:n]
-        found = self.layout.powers[None, :, None] * (by / _not_zero(p)[:, None])[:, None]
+        slopes = self.layout.powers[None, :, None] * (by / _not_zero(p)[:, None])[:, None]
         for column in (0, 1):
-            found[sections.places[:, column], :, k + np.arange(k)] -= (
+            slopes[sections.places[:, column], :, k + np.arange(k)] -= (
                 0.5 / sections.square / np.where(sections.square > 0, 2.0, 1.0)
             )[:, None]  # a complex pole stands at both places
-        found[sections.single] -= (by / _not_zero(p)[:, None])[sections.single][:, None]
-        return found[:, :, self.kept]
+        slopes[sections.single] -= (by / _not_zero(p)[:, None])[sections.single][:, None]
+        return slopes[:, :, self.kept]
 
     def derivatives(self, x: Array, output: int, has_feedthrough: bool) -> Array:
-        """Of what `shared` has of an output of the projection, in the units of the data, shape (numbers, size)."""
+        """Derivatives of the `shared` unknowns of an output, in the units of the data, shape (numbers, size)."""
         sections, values = self.sections_at(x), self.residue_values(x)
         unit, n = self._unit_of_pole(sections), len(sections.p)
         factor, slopes = self._factor(sections)[:, :, 0], self._factor_slopes(sections)
         matrices, poles, first = self.matrices(values)[unit], np.arange(n), int(self._poles)
-        found = []
+        blocks = []
         for o, i in self.layout.entries(output):
             by = np.zeros((n, self.size), complex)
             by[:, :first] = (factor[:, o] * matrices[:, o, i])[:, None] * slopes[:, o]
@@ -181,8 +181,8 @@ class StructureCoordinates:
                     by[poles, where + self._units * self.values] += 1j * factor[:, o] * slope[unit]
             fed = np.zeros((int(has_feedthrough), self.size))
             fed[:, self._through_at[o, i]] = self.through[o, i]
-            found += [by.real, by.imag, fed]
-        return np.concatenate(found) if found else np.zeros((0, self.size))
+            blocks += [by.real, by.imag, fed]
+        return np.concatenate(blocks) if blocks else np.zeros((0, self.size))
 
     @cached_property
     def _through_at(self) -> Indices:
@@ -194,21 +194,21 @@ class StructureCoordinates:
         raise NotImplementedError
 
     def pole_derivatives(self, x: Array) -> Array:
-        """Of imaginary and real parts of the poles, shape (2n, size)."""
+        """Derivatives of imaginary and real parts of the poles, shape (2n, size)."""
         slopes = self.sections_at(x).pole_slopes
-        found = np.zeros((len(slopes), self.size))
-        found[:, : self._poles] = slopes[:, self.kept]
-        return found
+        derivatives = np.zeros((len(slopes), self.size))
+        derivatives[:, : self._poles] = slopes[:, self.kept]
+        return derivatives
 
     def free(self, x: Array) -> Mask:
         """Coordinates that may move: of several that make the same model all but one are held."""
-        found = np.ones(self.size, bool)
+        movable = np.ones(self.size, bool)
         if not self.real:
             # residues of real poles are real
             count = self._units * self.values
             real = np.repeat(self.sections.p.imag == 0, self.values)
-            found[self._poles + count : self._poles + 2 * count] = ~real
-        return found
+            movable[self._poles + count : self._poles + 2 * count] = ~real
+        return movable
 
 
 def _not_zero(p: ComplexArray) -> ComplexArray:
@@ -224,11 +224,11 @@ class MatrixCoordinates(StructureCoordinates):
     @cached_property
     def _classes(self) -> Indices:
         """Which value each entry has, shape (p, m)."""
-        found = np.arange(self.layout.outputs * self.layout.inputs).reshape(self.layout.outputs, -1)
+        classes = np.arange(self.layout.outputs * self.layout.inputs).reshape(self.layout.outputs, -1)
         for first, here in self.layout.ports if self.reciprocal else ():
             for second, there in self.layout.ports:
-                found[first, there] = found[second, here] = min(found[first, there], found[second, here])
-        return np.unique(found, return_inverse=True)[1].reshape(found.shape)
+                classes[first, there] = classes[second, here] = min(classes[first, there], classes[second, here])
+        return np.unique(classes, return_inverse=True)[1].reshape(classes.shape)
 
     @cached_property
     def values(self) -> int:
@@ -274,7 +274,7 @@ class ShapeCoordinates(StructureCoordinates):
     @cached_property
     def values(self) -> int:
         """Number of values of residues in each mode."""
-        return int(max(one.max(initial=-1) for one in self._places)) + 1
+        return int(max(places.max(initial=-1) for places in self._places)) + 1
 
     @property
     def is_port_alone(self) -> bool:
@@ -296,8 +296,8 @@ class ShapeCoordinates(StructureCoordinates):
         links[first, count + second] = links[second, count + first] = True
         labels = connected_components(links, directed=False)[1]
         parted = np.flatnonzero(labels[:count] != labels[count:])
-        sets = {tuple(np.unique(np.flatnonzero(labels == labels[one]) % count).tolist()) for one in parted}
-        return [np.array(one) for one in sorted(sets)]
+        sets = {tuple(np.unique(np.flatnonzero(labels == labels[node]) % count).tolist()) for node in parted}
+        return [np.array(gauge) for gauge in sorted(sets)]
 
     @property
     def dof(self) -> int:
@@ -307,13 +307,13 @@ class ShapeCoordinates(StructureCoordinates):
     def free(self, x: Array) -> Mask:
         """All but the largest of the numbers that share a scale."""
         sizes, held = np.abs(self.residue_values(x)), np.zeros((self._units, self.values), bool)
-        for one in self._gauges:
-            held[np.arange(self._units), one[np.argmax(sizes[:, one], axis=1)]] = True
-        found = super().free(x)
-        found[self._poles :][: held.size] &= ~held.ravel()
+        for gauge in self._gauges:
+            held[np.arange(self._units), gauge[np.argmax(sizes[:, gauge], axis=1)]] = True
+        movable = super().free(x)
+        movable[self._poles :][: held.size] &= ~held.ravel()
         if not self.real:
-            found[self._poles + held.size :][: held.size] &= ~held.ravel()
-        return found
+            movable[self._poles + held.size :][: held.size] &= ~held.ravel()
+        return movable
 
     def turned_to_positive(self, residues: ComplexArray) -> ComplexArray:
         """Residues of the same sizes with the phase of a port."""
@@ -329,7 +329,7 @@ class ShapeCoordinates(StructureCoordinates):
         c, b = U[:, :, 0] * root, Vh[:, 0] * root
         values = np.zeros((self._units, self.values), kept.dtype)
         if self.tied and self.layout.ports:
-            at_outputs, at_inputs = (np.array(one) for one in zip(*self.layout.ports, strict=True))
+            at_outputs, at_inputs = (np.array(channels) for channels in zip(*self.layout.ports, strict=True))
             # of c t and b / t, which agree where t**2 = b / c
             square = np.sum(c[:, at_outputs].conj() * b[:, at_inputs], axis=1) / np.maximum(
                 np.sum(np.abs(c[:, at_outputs]) ** 2, axis=1), np.finfo(float).tiny

@@ -45,23 +45,23 @@ class DelayedStructure:
 
 def cost_of(fit: StructuredFit, scales: Array) -> float:
     """BIC of a structure for each row of the data, in their units, with the variance of each output at its best."""
-    at = fit.projection
-    counts = np.zeros(len(at.losses))
-    for one in at.experiments:
-        counts[one.outputs] += one.samples
-    losses = scales**2 * np.maximum(at.losses, np.finfo(float).tiny) / np.maximum(counts, 1)
-    own = at.unknowns - len(at.x) - int(at.shown.sum())
-    return float(np.sum(counts * np.log(losses)) + (fit.parameters + own) * np.log(at.rows)) / at.rows
+    projection = fit.projection
+    counts = np.zeros(len(projection.losses))
+    for rows in projection.experiments:
+        counts[rows.outputs] += rows.samples
+    losses = scales**2 * np.maximum(projection.losses, np.finfo(float).tiny) / np.maximum(counts, 1)
+    own = projection.unknowns - len(projection.x) - int(projection.shown.sum())
+    return float(np.sum(counts * np.log(losses)) + (fit.parameters + own) * np.log(projection.rows)) / projection.rows
 
 
 def with_delays(
-    at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion, fed: Mask, *, settled: bool
+    projection: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion, fed: Mask, *, settled: bool
 ) -> DelayedStructure | None:
     """Fit a structure with delays of the outputs to the data of a free fit, where residues may be those of a delay.
 
     Parameters
     ----------
-    at : FreeProjection
+    projection : FreeProjection
         Minimum of the free fit, in rows that may have delays already.
     layout : ChannelLayout
         Inputs and outputs, their units and ports.
@@ -79,19 +79,19 @@ def with_delays(
     DelayedStructure or None
         The best of a delay common to all outputs, and one of each.
     """
-    now, least = delays_of(at), np.inf
+    now, least = delays_of(projection), np.inf
     best: tuple[FreeProjection, Delays, Mask | None] | None = None
-    starts = [Delays.of_outputs(now)] if settled else list(_starts(at, layout, now, region.ceiling))
+    starts = [Delays.of_outputs(now)] if settled else list(_starts(projection, layout, now, region.ceiling))
     if settled and np.ptp(now) == 0 and len(now) > 1:
         starts.append(Delays(_outputs_of(layout), now[np.unique(_outputs_of(layout), return_index=True)[1]]))
-    through = [fed] + [at.fed_through] * bool(np.any(at.fed_through & ~fed))
-    light = np.abs(at.p.real) < _BROAD * np.abs(at.p)
-    poles = [at.p] + [at.p[light]] * bool(light.any() and not light.all() and not settled)
+    through = [fed] + [projection.fed_through] * bool(np.any(projection.fed_through & ~fed))
+    light = np.abs(projection.p.real) < _BROAD * np.abs(projection.p)
+    poles = [projection.p] + [projection.p[light]] * bool(light.any() and not light.all() and not settled)
     for delays in starts:
         bounded = _bounded(delays, region)
-        delayed: Sequence[FreeRows] = bounded.rows(at.experiments)  # type: ignore[type-var]
+        delayed: Sequence[FreeRows] = bounded.rows(projection.experiments)  # type: ignore[type-var]
         for p in poles:
-            for mask in through if at.has_feedthrough else [None]:
+            for mask in through if projection.has_feedthrough else [None]:
                 start = FreeProjection(delayed, p, mask)
                 fit = constrained(start, layout, hypothesis, region.about(start.sections), _ITERATIONS, bounded)
                 if (cost := cost_of(fit, layout.scales)) < least:
@@ -103,13 +103,13 @@ def with_delays(
     return DelayedStructure(fit, FreeProjection(fit.projection.experiments, fit.p, mask))
 
 
-def delays_of(at: FreeProjection) -> Array:
+def delays_of(projection: FreeProjection) -> Array:
     """Delay of each output in the rows of a projection."""
-    found = np.zeros(at.shared.shape[1])
-    for one in at.experiments:
-        if one.inputs:
-            found[one.outputs] = one.delay_time
-    return found
+    delays = np.zeros(projection.shared.shape[1])
+    for rows in projection.experiments:
+        if rows.inputs:
+            delays[rows.outputs] = rows.delay_time
+    return delays
 
 
 def _outputs_of(layout: ChannelLayout) -> Indices:
@@ -126,14 +126,14 @@ def _bounded(delays: Delays, region: PoleRegion) -> Delays:
     return Delays(delays.groups, delays.values, step / np.pi, min(first, least), max(last, most))
 
 
-def _starts(at: FreeProjection, layout: ChannelLayout, now: Array, ceiling: float) -> Iterator[Delays]:
+def _starts(projection: FreeProjection, layout: ChannelLayout, now: Array, ceiling: float) -> Iterator[Delays]:
     """Delays, one for all outputs or one of each, that turn residues into those of shapes that are real."""
     step, groups = np.pi / ceiling, _outputs_of(layout)
     grid = step * np.arange(TUNING.delays[0], TUNING.delays[-1] + 0.5 / _GRID, 1.0 / _GRID)
     prior = 2 * TUNING.delay_prior * np.abs(grid) / step
     there = [now[groups == output][:1] for output in range(layout.outputs)]
-    each = np.stack([beside_real_shapes(at, layout, k, grid - known) for k, known in enumerate(there)])
-    none = np.concatenate([beside_real_shapes(at, layout, k, -known) for k, known in enumerate(there)])
+    each = np.stack([beside_real_shapes(projection, layout, k, grid - known) for k, known in enumerate(there)])
+    none = np.concatenate([beside_real_shapes(projection, layout, k, -known) for k, known in enumerate(there)])
     total = each.sum(axis=0) + prior
     minima = np.unique(np.append(argrelmin(total)[0], np.argmin(total)))
     for place in minima[np.argsort(total[minima])][:_STARTS].tolist():
@@ -145,17 +145,20 @@ def _starts(at: FreeProjection, layout: ChannelLayout, now: Array, ceiling: floa
             yield Delays(groups, grid[places])
 
 
-def beside_real_shapes(at: FreeProjection, layout: ChannelLayout, output: int, delays: Array) -> Array:
-    """Squares of what residues of an output would have beside those of real shapes, for each delay more, in errors."""
-    residues, _ = layout.split(at.shared, len(at.p))
-    errors, _ = layout.split(at.shared_errors * np.sqrt(at.loss / max(1, at.rows - at.unknowns)), len(at.p))
-    modes = at.p.imag > 0
-    p, rho, error = at.p[modes], residues[modes, output], np.abs(errors[modes, output]) / np.sqrt(2)
+def beside_real_shapes(projection: FreeProjection, layout: ChannelLayout, output: int, delays: Array) -> Array:
+    """Squared distance of residues of an output from those of real shapes, in standard errors, for each added delay."""
+    residues, _ = layout.split(projection.shared, len(projection.p))
+    errors, _ = layout.split(
+        projection.shared_errors * np.sqrt(projection.loss / max(1, projection.rows - projection.unknowns)),
+        len(projection.p),
+    )
+    modes = projection.p.imag > 0
+    p, rho, error = projection.p[modes], residues[modes, output], np.abs(errors[modes, output]) / np.sqrt(2)
     factor = (p ** POWERS[layout.quantities[output]] / (2j * p.imag))[:, None]
     shape, size = rho / factor, np.where(error > 0, error, np.inf) / np.abs(factor)
     turned = shape[None] * np.exp(1j * np.multiply.outer(delays, p.imag))[:, :, None]
     beside: Array = (turned.imag / size) ** 2
-    for one, source in layout.ports:
-        if one == output:
+    for port_output, source in layout.ports:
+        if port_output == output:
             beside[:, :, source] += (np.minimum(turned.real[:, :, source], 0.0) / size[:, source]) ** 2
     return np.asarray(beside.sum(axis=(1, 2)))

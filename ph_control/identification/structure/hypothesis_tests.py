@@ -40,17 +40,17 @@ class StructureTests:
 
     def stands(self, hypothesis: str, level: float = LEVEL) -> bool:
         """Whether a hypothesis was tested and not rejected."""
-        return any(one.hypothesis == hypothesis and one.p >= level for one in self.tests)
+        return any(test.hypothesis == hypothesis and test.p >= level for test in self.tests)
 
 
 def structure_tests(
-    at: FreeProjection, layout: ChannelLayout, region: PoleRegion, among: Sequence[str] | None = None
+    projection: FreeProjection, layout: ChannelLayout, region: PoleRegion, among: Sequence[str] | None = None
 ) -> StructureTests:
     """Test all structures that the inputs, outputs and ports of a free fit allow to test, or those `among` some.
 
     Parameters
     ----------
-    at : FreeProjection
+    projection : FreeProjection
         Minimum of the free fit over all that was measured, in rows of one variance.
     layout : ChannelLayout
         Inputs and outputs, their units and ports.
@@ -73,7 +73,7 @@ def structure_tests(
     are curved, their curvature counts as well.  Lossless models are classical, and both are passive, reciprocal and of
     rank one: none of these is rejected before them, and has their probability where that is larger.
     """
-    fits = {"free": constrained(at, layout, "free", region)}
+    fits = {"free": constrained(projection, layout, "free", region)}
     parameters = fits["free"].parameters
     tests: list[HypothesisTest] = []
     for hypothesis in testable(layout):
@@ -85,44 +85,53 @@ def structure_tests(
             test = replace(max(stands, key=lambda test: test.p), hypothesis=hypothesis)
         elif hypothesis == "passive":
             # the classical model is passive, and was fitted before
-            classical = partial(_fit_of, fits, at, layout, "classical", region)
-            fit = nearest_passive_fit(at, layout, classical, _BEYOND * parameters)
-            test, fits[hypothesis] = likelihood_test(at, fit, parameters - fit.parameters), fit
+            classical = partial(_fit_of, fits, projection, layout, "classical", region)
+            fit = nearest_passive_fit(projection, layout, classical, _BEYOND * parameters)
+            test, fits[hypothesis] = likelihood_test(projection, fit, parameters - fit.parameters), fit
         else:
-            test, fits[hypothesis] = _tested(at, layout, hypothesis, region, parameters)
+            test, fits[hypothesis] = _tested(projection, layout, hypothesis, region, parameters)
         # lossless and classical models are of all wider kinds
-        tests.append(replace(test, p=max(test.p, *(one.p for one in tests if one.hypothesis in SIMPLEST_FIRST), 0.0)))
+        tests.append(
+            replace(test, p=max(test.p, *(simpler.p for simpler in tests if simpler.hypothesis in SIMPLEST_FIRST), 0.0))
+        )
     return StructureTests(tuple(tests), fits)
 
 
 def _fit_of(
-    fits: Mapping[str, StructuredFit], at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion
+    fits: Mapping[str, StructuredFit],
+    projection: FreeProjection,
+    layout: ChannelLayout,
+    hypothesis: str,
+    region: PoleRegion,
 ) -> StructuredFit:
     """Return the fit of a hypothesis, made if it is not among `fits`."""
-    return fits[hypothesis] if hypothesis in fits else constrained(at, layout, hypothesis, region, _ITERATIONS)
+    return fits[hypothesis] if hypothesis in fits else constrained(projection, layout, hypothesis, region, _ITERATIONS)
 
 
 def given_structure(
-    at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion
+    projection: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion
 ) -> tuple[StructuredFit, HypothesisTest]:
     """Fit a structure, to the minimum however unlikely it is, and test it within the free model."""
-    fit, parameters = constrained(at, layout, hypothesis, region), constrained(at, layout, "free", region).parameters
-    return fit, likelihood_test(at, fit, parameters - fit.parameters)
+    fit, parameters = (
+        constrained(projection, layout, hypothesis, region),
+        constrained(projection, layout, "free", region).parameters,
+    )
+    return fit, likelihood_test(projection, fit, parameters - fit.parameters)
 
 
 def _tested(
-    at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion, parameters: int
+    projection: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion, parameters: int
 ) -> tuple[HypothesisTest, StructuredFit]:
     """Test a hypothesis; the minimum of one that is rejected beyond doubt is not followed to its last digit.
 
     What crowded poles start from says nothing of their minimum.
     """
     efforts: list[tuple[int | None, float]] = [(0, _BEYOND), (_ITERATIONS, 1.0), (None, 1.0)]
-    if is_crowded(at, region):
+    if is_crowded(projection, region):
         efforts = [(_ITERATIONS, _BEYOND), (None, 1.0)]
     for iterations, beyond in efforts:
-        fit = constrained(at, layout, hypothesis, region, iterations)
-        test = likelihood_test(at, fit, parameters - fit.parameters)
+        fit = constrained(projection, layout, hypothesis, region, iterations)
+        test = likelihood_test(projection, fit, parameters - fit.parameters)
         if fit.converged or (test.p < _HOPELESS and test.likelihood_ratio > beyond * test.dof):
             break
     return test, fit
@@ -131,16 +140,16 @@ def _tested(
 def testable(layout: ChannelLayout) -> list[str]:
     """Hypotheses that channels and ports allow to test, the simplest first."""
     driven = layout.inputs > 0
-    found = [one for one in SIMPLEST_FIRST if driven or one == "lossless"]
-    found += ["passive"] if layout.ports and driven else []
-    found += ["rank one"] if min(layout.outputs, layout.inputs) > 1 else []
-    return found + (["reciprocal"] if len(layout.ports) > 1 else [])
+    hypotheses = [hypothesis for hypothesis in SIMPLEST_FIRST if driven or hypothesis == "lossless"]
+    hypotheses += ["passive"] if layout.ports and driven else []
+    hypotheses += ["rank one"] if min(layout.outputs, layout.inputs) > 1 else []
+    return hypotheses + (["reciprocal"] if len(layout.ports) > 1 else [])
 
 
-def likelihood_test(at: FreeProjection, fit: StructuredFit, dof: int) -> HypothesisTest:
+def likelihood_test(projection: FreeProjection, fit: StructuredFit, dof: int) -> HypothesisTest:
     """A structure against the free model, which has so many unknowns more; the variance is that of the free fit."""
-    spare = max(1, at.rows - at.unknowns)
-    least = max(at.loss, _rounding(at))
+    spare = max(1, projection.rows - projection.unknowns)
+    least = max(projection.loss, _rounding(projection))
     variance, gain = least / spare, max(0.0, fit.loss - least)
     if not dof:
         return HypothesisTest(fit.hypothesis, 0.0, 0, 1.0)
@@ -148,17 +157,17 @@ def likelihood_test(at: FreeProjection, fit: StructuredFit, dof: int) -> Hypothe
     return HypothesisTest(fit.hypothesis, ratio, dof, float(fdtrc(dof, spare, gain / variance / dof)))
 
 
-def _rounding(at: FreeProjection) -> float:
+def _rounding(projection: FreeProjection) -> float:
     """Loss below which residuals are rounding: in recursions run in doubles, errors grow with the samples."""
-    return at.rows * EPS**2 * at.rows * GivenResidues(at, np.zeros_like(at.shared)).loss
+    return projection.rows * EPS**2 * projection.rows * GivenResidues(projection, np.zeros_like(projection.shared)).loss
 
 
-def choose(found: StructureTests, level: float = LEVEL) -> StructuredFit:
+def choose(tests: StructureTests, level: float = LEVEL) -> StructuredFit:
     """Return the simplest structure that is not rejected: lossless, classical, passive, free.
 
     Of a free model, residues have rank one if that is not rejected, since those of simple poles have.
     """
     for hypothesis in (*SIMPLEST_FIRST, "passive", "rank one"):
-        if found.stands(hypothesis, level):
-            return found.fits[hypothesis]
-    return found.fits["free"]
+        if tests.stands(hypothesis, level):
+            return tests.fits[hypothesis]
+    return tests.fits["free"]

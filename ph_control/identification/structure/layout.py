@@ -40,13 +40,13 @@ class ChannelLayout:
     @property
     def powers(self) -> Indices:
         """How often the displacement of each output was differentiated."""
-        return np.array([POWERS[one] for one in self.quantities])
+        return np.array([POWERS[quantity] for quantity in self.quantities])
 
     def entries(self, output: int) -> list[tuple[int, int]]:
         """Outputs and inputs of the residues that an output of the projection has."""
         if self.per_entry:
             return [divmod(output, self.inputs)]
-        return [(output, one) for one in range(self.inputs)]
+        return [(output, i) for i in range(self.inputs)]
 
     def split(self, shared: Array, n: int) -> tuple[ComplexArray, Array]:
         """Residues (n, p, m) and feedthrough (p, m) in the units of the data."""

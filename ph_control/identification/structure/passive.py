@@ -68,16 +68,16 @@ class _Constraint:
 class _Ports:
     """The mobility between ports of models `theta`: imaginary and real parts of poles, `shared` by outputs."""
 
-    at: FreeProjection
+    projection: FreeProjection
     layout: ChannelLayout
 
     @cached_property
     def _outputs(self) -> Indices:
-        return np.array([one for one, _ in self.layout.ports])
+        return np.array([o for o, _ in self.layout.ports])
 
     @cached_property
     def _inputs(self) -> Indices:
-        return np.array([one for _, one in self.layout.ports])
+        return np.array([i for _, i in self.layout.ports])
 
     @cached_property
     def _integrations(self) -> Indices:
@@ -87,22 +87,22 @@ class _Ports:
     @property
     def n(self) -> int:
         """Number of modes."""
-        return len(self.at.p)
+        return len(self.projection.p)
 
-    def theta(self, at: FreeProjection) -> Array:
+    def theta(self, projection: FreeProjection) -> Array:
         """The numbers of a model."""
-        return np.concatenate([at.pole_parts, at.shared.T.ravel()])
+        return np.concatenate([projection.pole_parts, projection.shared.T.ravel()])
 
     def data(self, theta: Array) -> GivenResidues:
         """The data at a model."""
         n = self.n
-        free = FreeProjection(self.at.experiments, theta[n : 2 * n] + 1j * theta[:n], self.at.fed)
-        return GivenResidues(free, theta[2 * n :].reshape(self.at.shared.shape[::-1]).T)
+        free = FreeProjection(self.projection.experiments, theta[n : 2 * n] + 1j * theta[:n], self.projection.fed)
+        return GivenResidues(free, theta[2 * n :].reshape(self.projection.shared.shape[::-1]).T)
 
     @cached_property
     def _fed(self) -> bool:
         """Whether a velocity may be fed through."""
-        through = self.layout.split(self.at.shown.astype(float), self.n)[1][np.ix_(self._outputs, self._inputs)]
+        through = self.layout.split(self.projection.shown.astype(float), self.n)[1][np.ix_(self._outputs, self._inputs)]
         return bool(np.any(through[self._integrations == 0] != 0))
 
     @property
@@ -119,7 +119,7 @@ class _Ports:
         """Poles, residues (n, P, P) of velocities, and what is fed through to them."""
         n = self.n
         p = theta[n : 2 * n] + 1j * theta[:n]
-        shared = theta[2 * n :].reshape(self.at.shared.shape[::-1]).T
+        shared = theta[2 * n :].reshape(self.projection.shared.shape[::-1]).T
         residues, through = self.layout.split(shared, n)
         block = np.ix_(np.arange(n), self._outputs, self._inputs)
         rho, k = residues[block], self._integrations
@@ -147,7 +147,7 @@ class _Ports:
 
     def symmetry(self, theta: Array) -> list[_Constraint]:
         """Differences that are 0: at an end of the axis where mobilities vanish, their first order is symmetric."""
-        found, P = list[_Constraint](), len(self._outputs)
+        constraints, P = list[_Constraint](), len(self._outputs)
         p, none = theta[self.n : 2 * self.n] + 1j * theta[: self.n], np.zeros((P, P))
         ends = [np.full(P, -1)] * self.rests + [self._integrations] * (not self._fed)
         for k in ends:
@@ -156,28 +156,28 @@ class _Ports:
                     beta, slope = np.zeros((2, self.n, P, P), complex)
                     beta[:, a, b], beta[:, b, a] = p ** float(k[a]), -(p ** float(k[b]))
                     slope[:, a, b], slope[:, b, a] = k[a] * p ** (k[a] - 1.0), -k[b] * p ** (k[b] - 1.0)
-                    found.append(_Constraint(beta, slope, none))
-        return found
+                    constraints.append(_Constraint(beta, slope, none))
+        return constraints
 
-    def linear(self, theta: Array, one: _Constraint) -> tuple[float, Array]:
+    def linear(self, theta: Array, constraint: _Constraint) -> tuple[float, Array]:
         """Value of a constraint and its gradient by `theta`."""
-        n, layout, width = self.n, self.layout, self.at.shared.shape[0]
-        shared = theta[2 * n :].reshape(self.at.shared.shape[::-1]).T
+        n, layout, width = self.n, self.layout, self.projection.shared.shape[0]
+        shared = theta[2 * n :].reshape(self.projection.shared.shape[::-1]).T
         residues, through = layout.split(shared, n)
         gradient, value = np.zeros(len(theta)), 0.0
         for a, o in enumerate(self._outputs):
             for b, i in enumerate(self._inputs):
-                rho, beta = residues[:, o, i], one.beta[:, a, b]
-                value += float(2 * np.sum(rho * beta).real + through[o, i] * one.delta[a, b])
-                moved = 2 * rho * one.slope[:, a, b]
+                rho, beta = residues[:, o, i], constraint.beta[:, a, b]
+                value += float(2 * np.sum(rho * beta).real + through[o, i] * constraint.delta[a, b])
+                moved = 2 * rho * constraint.slope[:, a, b]
                 gradient[:n] -= moved.imag
                 gradient[n : 2 * n] += moved.real
                 output, place = (o * layout.inputs + i, 0) if layout.per_entry else (o, i)
-                first = 2 * n + output * width + place * (2 * n + self.at.has_feedthrough)
+                first = 2 * n + output * width + place * (2 * n + self.projection.has_feedthrough)
                 gradient[first : first + n] += 2 * beta.real * layout.scales[output]
                 gradient[first + n : first + 2 * n] -= 2 * beta.imag * layout.scales[output]
-                if self.at.has_feedthrough:
-                    gradient[first + 2 * n] += one.delta[a, b] * layout.scales[output]
+                if self.projection.has_feedthrough:
+                    gradient[first + 2 * n] += constraint.delta[a, b] * layout.scales[output]
         return value, gradient
 
     def violated(self, theta: Array) -> list[tuple[float, ComplexArray]]:
@@ -186,18 +186,18 @@ class _Ports:
         From a grid while that shows any; the exact test has the last word.
         """
         model = self.mobility(theta)
-        found = self._directions(model, self._lowest(model))
-        return found or self._directions(model, self._worst(model))
+        directions = self._directions(model, self._lowest(model))
+        return directions or self._directions(model, self._worst(model))
 
     def _directions(
         self, model: tuple[ComplexArray, ComplexArray, Array], frequencies: list[float]
     ) -> list[tuple[float, ComplexArray]]:
-        found = []
+        directions = []
         for w in frequencies:
             values, vectors = np.linalg.eigh(self._phi(*model, np.array([w]))[0])
             rounding = _ROUNDING * max(np.abs(values).max(), self._terms(model, w))
-            found += [(w, v) for value, v in zip(values, vectors.T, strict=True) if value < -rounding]
-        return found
+            directions += [(w, v) for value, v in zip(values, vectors.T, strict=True) if value < -rounding]
+        return directions
 
     def _terms(self, model: tuple[ComplexArray, ComplexArray, Array], w: float) -> float:
         """Size of the terms of the modes whose sum remains at an end of the axis: rounding is a part of these."""
@@ -213,13 +213,13 @@ class _Ports:
         b, c = np.tile(np.eye(P), (n, 1)), 2 * R.transpose(0, 2, 1).reshape(n * P, P)
         A, B, C = real_matrices(np.repeat(p, P), b.astype(complex), c.T)
         bands = Passivity(A, B, C, D, scattering=False).bands()
-        ends = [one for band in bands for one in (band.low, band.high) if one in (0.0, np.inf)]
+        ends = [end for band in bands for end in (band.low, band.high) if end in (0.0, np.inf)]
         return sorted({*(band.worst for band in bands), *ends})
 
     def _lowest(self, model: tuple[ComplexArray, ComplexArray, Array]) -> list[float]:
         """Ends of the axis, and minima of the smallest eigenvalue between points that are dense about the poles."""
-        found = minima(lambda omega: np.asarray(np.linalg.eigvalsh(self._phi(*model, omega))[:, 0]), model[0])
-        return [0.0, *found, np.inf]
+        frequencies = minima(lambda omega: np.asarray(np.linalg.eigvalsh(self._phi(*model, omega))[:, 0]), model[0])
+        return [0.0, *frequencies, np.inf]
 
     def curvature(self, theta: Array, w: float, v: ComplexArray) -> Array:
         """Vectors `a` such that the smallest eigenvalue bends as `-sum (a^T d)^2 / 2`, as directions and `w` follow."""
@@ -236,7 +236,7 @@ class _Ports:
             around = np.linalg.eigvalsh(self._phi(*model, w + step * np.arange(-1.0, 2.0)))[:, 0]
             bend = float(around[0] - 2 * around[1] + around[2])
             if bend > 0:
-                ends = [self.linear(theta, self.constraint(theta, w + one * step, M))[1] for one in (-0.5, 0.5)]
+                ends = [self.linear(theta, self.constraint(theta, w + offset * step, M))[1] for offset in (-0.5, 0.5)]
                 turned.append((ends[1] - ends[0]) / np.sqrt(bend))
         return np.reshape(turned, (len(turned), len(theta)))
 
@@ -252,44 +252,42 @@ class _Ports:
 
 
 def nearest_passive(
-    at: FreeProjection, layout: ChannelLayout, variance: float, most: float = np.inf
+    projection: FreeProjection, layout: ChannelLayout, variance: float, most: float = np.inf
 ) -> PassivePoint | None:
     """The passive model of least loss, about the minimum of a free fit whose rows have this variance.
 
     None if the constraints leave nothing, or nothing within the `most` of a squared distance in standard errors.  Poles
     move with the residues; loss and metric are evaluated anew at the first answer.
     """
-    ports, best = _Ports(at, layout), None
-    centre, C = ports.theta(at), at.covariance(variance)
+    ports, best = _Ports(projection, layout), None
+    centre, C = ports.theta(projection), projection.covariance(variance)
     theta = centre
     for _ in range(_STEPS):
-        found = _projected(ports, centre, C, theta, most)
-        if found is None:
+        held = _projected(ports, centre, C, theta, most)
+        if held is None:
             break
-        theta, data = found.theta, ports.data(found.theta)
+        theta, data = held.theta, ports.data(held.theta)
         if best is not None and data.loss >= best.data.loss:
             break
-        best = PassivePoint(data, found.active, found.covariance / variance)
-        predicted, cost = found.distance, (data.loss - at.loss) / variance
-        if not found.active or predicted > _FAR or abs(predicted - cost) < _AGREES * (1 + predicted):
+        best = PassivePoint(data, held.active, held.covariance / variance)
+        predicted, cost = held.distance, (data.loss - projection.loss) / variance
+        if not held.active or predicted > _FAR or abs(predicted - cost) < _AGREES * (1 + predicted):
             break
         C = data.covariance(variance)
         centre = theta - C @ _gradient(data) / variance
     return best
 
 
-def made_passive(
-    at: FreeProjection, layout: ChannelLayout, classical: FreeProjection, active: int, inverse: Array
-) -> PassivePoint:
+def made_passive(classical: FreeProjection, layout: ChannelLayout, active: int, inverse: Array) -> PassivePoint:
     """A model with classical damping, so many unknowns fewer: poles that grow are brought to the axis."""
     ports = _Ports(classical, layout)  # pairs of poles may have turned real
     theta, n = ports.theta(classical), ports.n
     theta[n : 2 * n] = np.minimum(theta[n : 2 * n], -_decay(classical.covariance(1.0), n, theta))
     residues, through = layout.split(classical.shared, n)
-    block = np.ix_([one for one, _ in layout.ports], [one for _, one in layout.ports])
+    block = np.ix_([o for o, _ in layout.ports], [i for _, i in layout.ports])
     values, vectors = np.linalg.eigh(0.5 * (through[block] + through[block].T))
     through[block] += vectors @ np.diag(np.maximum(-values, 0.0)) @ vectors.T
-    theta[2 * n :] = layout.joined(residues, through, at.has_feedthrough).T.ravel()
+    theta[2 * n :] = layout.joined(residues, through, classical.has_feedthrough).T.ravel()
     return PassivePoint(ports.data(theta), active, inverse)
 
 
@@ -302,11 +300,11 @@ def _decay(C: Array, n: int, theta: Array) -> Array:
 def _gradient(data: GivenResidues) -> Array:
     """Half the gradient of the loss by `theta`."""
     n, width = len(data.p), data.shared.shape[0]
-    found = np.zeros(2 * n + data.shared.size)
-    for output, left, by_poles, by_shared in data.sensitivities():
-        found[: 2 * n] += by_poles.T @ left
-        found[2 * n + output * width : 2 * n + (output + 1) * width] += by_shared.T @ left
-    return found
+    gradient = np.zeros(2 * n + data.shared.size)
+    for output, residual, by_poles, by_shared in data.sensitivities():
+        gradient[: 2 * n] += by_poles.T @ residual
+        gradient[2 * n + output * width : 2 * n + (output + 1) * width] += by_shared.T @ residual
+    return gradient
 
 
 def _projected(ports: _Ports, centre: Array, C: Array, theta: Array, most: float) -> _Held | None:
@@ -320,7 +318,7 @@ def _projected(ports: _Ports, centre: Array, C: Array, theta: Array, most: float
     for turn in range(_ROUNDS):
         stable = bool(np.all(theta[n : 2 * n] < 0))
         new = ports.violated(theta) if stable else []
-        equal = [ports.linear(theta, one) for one in ports.symmetry(theta)]
+        equal = [ports.linear(theta, constraint) for constraint in ports.symmetry(theta)]
         if stable and not new:
             if now is None and not equal:
                 return _Held(theta, 0.0, none, none, C)
@@ -336,7 +334,7 @@ def _projected(ports: _Ports, centre: Array, C: Array, theta: Array, most: float
         known = known + new
         above = [ports.linear(theta, ports.constraint(theta, w, np.outer(v, v.conj()))) for w, v in known]
         both = [*equal, *above, *zip(steady - theta[n : 2 * n], stability, strict=True)]
-        values, A = np.array([one for one, _ in both]), np.array([one for _, one in both])
+        values, A = np.array([value for value, _ in both]), np.array([gradient for _, gradient in both])
         inside = np.repeat([0.0, _INSIDE, 0.0], [len(equal), len(above), n])
         with np.errstate(all="ignore"):
             size = np.sqrt(np.einsum("ij,ij->i", A @ C, A))
