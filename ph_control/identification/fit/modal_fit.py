@@ -875,7 +875,7 @@ def _shapes(
     n, (_, p, m) = int(np.sum(poles.imag != 0)), residues.shape
     count, size = len(poles), residues.size
     poles, residues = poles[:n], residues[:n]
-    # a port that was not told stands only where the structure does
+    # a port that was not named holds only where the structure does
     ports = () if request.assumed and fit.structure == "free" else request.ports
     if m:
         shapes = ModeShapes.of(poles, residues, request.quantities, ports)

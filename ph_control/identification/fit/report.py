@@ -14,7 +14,7 @@ from ..data.quantities import measured_by
 
 _SHOWN = 6  # experiments listed one by one
 _NAMED = 4  # channels
-_BACKGROUND = 0.01  # of the response, from which it is told
+_BACKGROUND = 0.01  # share of the response from which it is reported
 
 
 class ModalReport(Report):

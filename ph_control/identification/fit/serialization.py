@@ -171,7 +171,7 @@ def _split(table: Fields, orders: tuple[int, ...]) -> list[Array]:
 
 
 def _experiments(fields: Fields, n: int, records: Sequence[Any] = (), states: int | None = None) -> tuple[Any, ...]:
-    """Experiments of a fit of n poles and some states, of records that are known or told with them."""
+    """Experiments of a fit of n poles and some states, of records that are known or stored with them."""
     states = 2 * n if states is None else states
     inner = fields.nested("experiments")
     known = [_experiment(inner.nested(str(k)), n, states, record) for k, record in enumerate(records, start=1)]
@@ -202,7 +202,7 @@ def _experiment(fields: Fields, n: int, states: int, record: Any) -> Any:
     if not single:
         p = len(record.output_labels)
         shapes = {"free_amplitudes": (n, p * in_time), "offsets": (p,), "drifts": (p,)}
-    fields.skip("outliers")  # of older files, which now tell them by findings
+    fields.skip("outliers")  # of older files; findings have them now
     known = {"record": record, "predicted": predicted}
     if "background" in fields:
         size = (5, 1, 1) if single else (5, *record.measured.shape[:2])

@@ -38,7 +38,7 @@ _PLACES = 8  # of a mode between two of few points, and half-widths in bins ther
 _DECAYS = (0.01, 0.1, 0.5, 1.5)
 
 
-Residuals = list[ComplexArray]  # what a model leaves of the outputs (q, K) of each row of data, in the frequency domain
+Residuals = list[ComplexArray]  # of the outputs (q, K) of each set of rows, in the frequency domain
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class NoiseOrders:
 
 @dataclass(frozen=True, eq=False)
 class FreeModel:
-    """Damped modes and what they leave, the losses of outputs in the units of the data."""
+    """Damped modes with their residuals, and the sum of squares of each output in the units of the data."""
 
     projection: FreeProjection
     residuals: Residuals
@@ -65,7 +65,7 @@ class FreeModel:
 
     @cached_property
     def noise(self) -> list[NoiseOrders]:
-        """Autoregressions of what is left of each output."""
+        """Autoregressions of the residuals of each output."""
         return [] if self.search is None else self.search.noise(self.residuals)
 
     @property
@@ -86,7 +86,7 @@ class FreeModel:
 
 @dataclass(frozen=True)
 class FreeSearch:
-    """Data, and where poles are looked for in them; whether modes may become overdamped, and lags a mode."""
+    """Data, and where poles are looked for in them; whether a mode may become overdamped, and two real poles a mode."""
 
     data: Sequence[Any]
     kinds_may_change: bool = True
@@ -99,7 +99,7 @@ class FreeSearch:
 
     @property
     def crowding(self) -> float:
-        """Distance within which a mode, half-widths apart, only mends the shape of another."""
+        """Distance of the peaks of two modes, beyond their half-widths, within which one only corrects the other."""
         return TUNING.damped_apart * self.region.bin
 
     def unknowns(self, modes: int, real_poles: int = 0) -> int:
@@ -120,11 +120,11 @@ class FreeSearch:
         return replace(self, kinds_may_change=changing and self.shows_background(2))
 
     def shows_background(self, n: int) -> bool:
-        """Whether what other modes leave of the data is not left to n poles."""
+        """Whether the data tell n poles from the background that modes outside the band leave."""
         return True
 
     def lag(self, projection: FreeProjection) -> tuple[complex, float]:
-        """The real pole that explains most of what a model leaves, and how much."""
+        """The real pole that explains most of the residuals of a model, and how much."""
         rates = np.geomspace(_SLOWEST * self.region.bin, _FASTEST * self.region.ceiling, _RATES)
         gains = np.sum(
             [explained_by_lags(rows, projection.p, rates) for rows in self.spread(projection.experiments)], axis=0
@@ -133,7 +133,7 @@ class FreeSearch:
         return complex(-rates[best]), float(gains[best])
 
     def spread(self, rows: Sequence[FreeRows]) -> Sequence[FreeRows]:
-        """Rows, or as many of them all over as show what has no peak."""
+        """The rows, or as many spread over the band as show what has no peak."""
         return rows
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
@@ -141,11 +141,11 @@ class FreeSearch:
         return self.data
 
     def scaled(self, sizes: Array) -> FreeSearch:
-        """The same with outputs (q,) so many times as large."""
+        """The same with each output multiplied by its entry of `sizes` (q,)."""
         raise NotImplementedError
 
     def residuals(self, projection: FreeProjection) -> Residuals:
-        """What a model leaves."""
+        """Residuals of a model."""
         raise NotImplementedError
 
     def losses(self, residuals: Residuals) -> Array:
@@ -157,17 +157,17 @@ class FreeSearch:
         raise NotImplementedError
 
     def model(self, projection: FreeProjection) -> FreeModel:
-        """Modes with what they leave."""
+        """A model with its residuals."""
         residuals = self.residuals(projection)
         return FreeModel(projection, residuals, self.losses(residuals), self)
 
     def noise(self, residuals: Residuals) -> list[NoiseOrders]:
-        """Autoregressions of what is left of each output; none where that is no record."""
+        """Autoregressions of the residuals of each output; none where these are no records."""
         return []
 
 
 def explained_by_lags(rows: FreeRows, p: ComplexArray, rates: Array) -> Array:
-    """How much of what poles leave each of some further real poles explains."""
+    """Decrease of the sum of squares by each of some real poles, added to the poles of a model."""
     blocks = list(rows.at(p).blocks())
     known = np.concatenate(blocks, axis=1)
     own = rows.own_unknowns(len(p)) + rows.inputs * (2 * len(p) + rows.through)
@@ -199,7 +199,7 @@ class Records(FreeSearch):
 
     @cached_property
     def windowed(self) -> bool:
-        """Whether `rows` are a part of all."""
+        """Whether `rows` gives the bins about the modes only, as of long records."""
         return max(record.length for record in self.data) > TUNING.in_time and all(record.whole for record in self.data)
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
@@ -216,7 +216,7 @@ class Records(FreeSearch):
         return replace(self, data=rows, innovations=innovations)
 
     def noise(self, residuals: Residuals) -> list[NoiseOrders]:
-        """Autoregressions of the noise of each output in the data, by what is left of it in the rows."""
+        """Autoregressions of the noise of each output in the data, from the residuals of the rows."""
         orders = []
         for output in range(1 + max(int(record.outputs.max()) for record in self.data)):
             pairs = zip(self.data, residuals, strict=True)
@@ -238,7 +238,7 @@ class Records(FreeSearch):
         return replace(self, data=[replace(rows, offset=0) for rows in self.data])
 
     def scaled(self, sizes: Array) -> Records:
-        """The same with outputs (q,) so many times as large."""
+        """The same with each output multiplied by its entry of `sizes` (q,)."""
         records = [replace(record, scale=sizes[record.outputs]) for record in self.data]
         search = replace(self, data=records)
         if "spectra" in vars(self):  # of a long record none is ever made
@@ -247,7 +247,7 @@ class Records(FreeSearch):
         return search
 
     def residuals(self, projection: FreeProjection) -> Residuals:
-        """Transforms of what a model leaves; 0 where an output is missing, or an offset explains it."""
+        """Transforms of the residuals; 0 of missing samples, and at frequency 0 where an offset is estimated."""
         residuals, windowed = [], isinstance(projection.experiments[0], FreeWindow)
         n, predicted = len(projection.p), [] if windowed or not len(projection.p) else projection.predictions()
         for k, (spectrum, own) in enumerate(zip(self.spectra, projection.own, strict=True)):
@@ -468,18 +468,18 @@ class Responses(FreeSearch):
         return [rows.thinned(p) if len(rows.omega) > _EVERYWHERE else rows for rows in self.data]
 
     def model(self, projection: FreeProjection) -> FreeModel:
-        """Modes with what they leave; residues and backgrounds are those of all points."""
+        """A model with its residuals; residues and backgrounds are those of all points."""
         whole = sum(rows.samples * len(rows.outputs) for rows in self.data) == projection.rows
         return super().model(projection if whole else FreeProjection(self.data, projection.p, projection.fed))
 
     def scaled(self, sizes: Array) -> Responses:
-        """The same with entries (q,) so many times as large."""
+        """The same with each entry multiplied by its element of `sizes` (q,)."""
         return replace(
             self, data=[replace(rows, response=rows.response * sizes[rows.outputs, None]) for rows in self.data]
         )
 
     def residuals(self, projection: FreeProjection) -> Residuals:
-        """What a model leaves, in the scale of the weights."""
+        """Weighted residuals of a model."""
         pairs = zip(self.data, projection.own, strict=True)
         residuals = []
         for rows, own in pairs:
@@ -519,7 +519,7 @@ class Responses(FreeSearch):
 
     @property
     def crowding(self) -> float:
-        """Distance within which a mode, half-widths apart, only mends the shape of another."""
+        """Distance of the peaks of two modes, beyond their half-widths, within which one only corrects the other."""
         return self.region.bin if self.classical else super().crowding
 
     def unknowns(self, modes: int, real_poles: int = 0) -> int:
