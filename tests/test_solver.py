@@ -135,5 +135,5 @@ def test_missing_samples_do_not_count():
 def test_strongest_mode_is_found_within_a_bin(method, h, d, samples):
     record = record_of([d], [1.0], samples=samples, h=h * 2000 / samples, method=method, noise=0.1)
     search = Records([record])
-    poles, _ = search.candidates(SimpleNamespace(left=[spectrum.Y for spectrum in search.spectra]))
+    poles, _ = search.candidates(SimpleNamespace(residuals=[spectrum.Y for spectrum in search.spectra]))
     assert abs(poles[0].imag - d) <= record.bin

@@ -118,12 +118,12 @@ class Bootstrap(Frozen):
 
     def _statistic(self, of: Callable[[Array], Array]) -> Mapping[str, Any]:
         """Statistic of each parameter by its name, along the resamples; of complex ones of both parts."""
-        found = {}
+        statistics = {}
         more = [name for name in ("r", "initial_state") if getattr(self, name).size]
         for name in (*_KEYS, "offset", *more):
             draws = getattr(self, name)[self._kept]
-            found[name] = of(draws.real) + 1j * of(draws.imag) if np.iscomplexobj(draws) else of(draws)
-        return ReadOnlyMapping(found)
+            statistics[name] = of(draws.real) + 1j * of(draws.imag) if np.iscomplexobj(draws) else of(draws)
+        return ReadOnlyMapping(statistics)
 
     @cached_property
     def stderr(self) -> Mapping[str, Any]:
@@ -246,11 +246,11 @@ class Resampled:
             )
         refit = _Refit.of(self)
         seeds = np.random.SeedSequence(int(random.integers(2**63))).spawn(count)
-        found = list(mapped(refit, seeds, workers, tuple))
+        estimates = list(mapped(refit, seeds, workers, tuple))
         nothing = [np.full(np.shape(part), np.nan, np.asarray(part).dtype) for part in _parts(self)]
-        each = [_parts(_drawn(self, *one)) if one else nothing for one in found]
-        poles, residues, through, r, states, offsets = (np.stack(one) for one in zip(*each, strict=True))
-        failed = sum(not one for one in found)
+        each = [_parts(_drawn(self, *estimate)) if estimate else nothing for estimate in estimates]
+        poles, residues, through, r, states, offsets = (np.stack(parts) for parts in zip(*each, strict=True))
+        failed = sum(not estimate for estimate in estimates)
         return Bootstrap(poles, residues, through, r, states, offsets, failed, self.background, self.delay)
 
 
@@ -298,9 +298,12 @@ class _Refit:
     @classmethod
     def of(cls, result: Any) -> _Refit:
         """Make it of a result."""
-        channels: Any = as_channels([one.record for one in result.experiments])
+        channels: Any = as_channels([experiment.record for experiment in result.experiments])
         terms = int(np.isfinite(result.stderr["offset"]).any())
-        terms += any(np.any(getattr(one, "drifts", getattr(one, "drift", 0.0))) for one in result.experiments)
+        terms += any(
+            np.any(getattr(experiment, "drifts", getattr(experiment, "drift", 0.0)))
+            for experiment in result.experiments
+        )
         path = FreePath.of(
             channels, result.quantities, result.intersample, terms, result._moving, method=result.method,
             delay=result.delay,
@@ -312,18 +315,21 @@ class _Refit:
         p, m = result.feedthrough.shape
         layout = ChannelLayout(p, m, 1.0 / path.sizes, result.quantities, result.ports, per_entry=per_entry)
         fed = path.felt | (result.feedthrough.reshape(path.felt.shape) != 0) if m else path.felt
-        at = FreeProjection(rows, result.poles, fed)
+        projection = FreeProjection(rows, result.poles, fed)
         halves = np.where(result.poles.imag == 0, 0.5, 1.0)[:, None, None] * result.residues
-        given = GivenResidues(at, layout.joined(halves, result.feedthrough, at.has_feedthrough) if m else at.shared)
+        given = GivenResidues(
+            projection,
+            layout.joined(halves, result.feedthrough, projection.has_feedthrough) if m else projection.shared,
+        )
         # residuals are smaller than the noise by the parameters that were fitted to it
         variance = np.exp(np.mean(np.log(np.maximum(result.noise_variance, np.finfo(float).tiny))))
         factor = np.sqrt(variance / max(result.loss, np.finfo(float).tiny))
         predictions, noise = given.predictions(), []
-        for one, predicted in zip(rows, predictions, strict=True):
-            left = (_target(one) - predicted)[:, one.observed] * _weight(one)
-            noise.append(factor * (left - left.mean(axis=1, keepdims=True)))
-        ends = np.cumsum([int(one.observed.any(axis=-1).sum()) for one in channels])
-        starts = np.cumsum([0, *(len(one.outputs) for one in rows)])[:-1]
+        for record, predicted in zip(rows, predictions, strict=True):
+            residuals = (_target(record) - predicted)[:, record.observed] * _weight(record)
+            noise.append(factor * (residuals - residuals.mean(axis=1, keepdims=True)))
+        ends = np.cumsum([int(channel.observed.any(axis=-1).sum()) for channel in channels])
+        starts = np.cumsum([0, *(len(record.outputs) for record in rows)])[:-1]
         places = np.searchsorted(ends, starts, side="right").tolist()
         return cls(
             rows, result.poles, fed, layout, path.search.region, result.structure, predictions, noise, places,
@@ -333,21 +339,23 @@ class _Refit:
     def __call__(self, seed: np.random.SeedSequence) -> _Estimate | tuple[()]:
         """Estimate from the noise of one seed; nothing where that is not reached."""
         random, rows = np.random.default_rng(seed), []
-        for one, predicted, noise in zip(self.rows, self.predictions, self.noise, strict=True):
-            output = np.where(one.observed, predicted, 0.0)
+        for record, predicted, noise in zip(self.rows, self.predictions, self.noise, strict=True):
+            output = np.where(record.observed, predicted, 0.0)
             drawn = np.stack([random.choice(values, len(values)) for values in noise])
-            output[:, one.observed] += drawn / _weight(one)
+            output[:, record.observed] += drawn / _weight(record)
             rows.append(
-                replace(one, y=output, scale=None) if isinstance(one, FreeRecord) else replace(one, response=output)
+                replace(record, y=output, scale=None)
+                if isinstance(record, FreeRecord)
+                else replace(record, response=output)
             )
         return self.fitted(rows)
 
     def fitted(self, rows: list[Any]) -> _Estimate | tuple[()]:
         """Estimate from some rows, refined from that of the result."""
-        samples = sum(one.samples for one in rows)
+        samples = sum(record.samples for record in rows)
         try:
-            at = refine_free(lambda _: rows, self.poles, self.region, _EXACT / samples, self.fed)
-            fit = constrained(at, self.layout, self.structure, self.region)
+            projection = refine_free(lambda _: rows, self.poles, self.region, _EXACT / samples, self.fed)
+            fit = constrained(projection, self.layout, self.structure, self.region)
         except (np.linalg.LinAlgError, RuntimeError):  # of a decomposition that does not converge
             return ()
         rank = np.lexsort((np.abs(fit.p), fit.p.imag == 0))
@@ -360,27 +368,31 @@ class _Refit:
 
     def _of_experiments(self, fit: StructuredFit, rank: Indices) -> tuple[list[ComplexArray], list[Array]]:
         """Free motions (N, outputs) and constants of each experiment."""
-        at, count = fit.projection, len(self.layout.scales)
+        projection, count = fit.projection, len(self.layout.scales)
         motions = [np.zeros((len(rank), count), complex) for _ in range(self.count)]
         offsets = [np.zeros(count) for _ in range(self.count)]
-        for one, own, place in zip(at.experiments, at.own, self.places, strict=True):
-            if isinstance(one, FreeRecord):
-                scale = self.layout.scales[one.outputs]
-                motion = one.motion_at_start(at.p, at.residues[:, one.outputs], own)[rank]
-                motions[place][:, one.outputs] = 2 * scale * motion
-                offsets[place][one.outputs] = scale * one.offset_at_start(own)[0]
+        for record, own, place in zip(projection.experiments, projection.own, self.places, strict=True):
+            if isinstance(record, FreeRecord):
+                scale = self.layout.scales[record.outputs]
+                motion = record.motion_at_start(projection.p, projection.residues[:, record.outputs], own)[rank]
+                motions[place][:, record.outputs] = 2 * scale * motion
+                offsets[place][record.outputs] = scale * record.offset_at_start(own)[0]
         return motions, offsets
 
 
 def _on_background(rows: Sequence[FreeResponse], result: Any) -> list[FreeResponse]:
     """Responses on the background of a result."""
-    parts = [one.background.coefficients.reshape(5, -1) for one in result.experiments if one.background]
+    parts = [
+        experiment.background.coefficients.reshape(5, -1) for experiment in result.experiments if experiment.background
+    ]
     through = result.feedthrough.ravel() != 0
-    found = []
-    for one in rows:
-        terms = terms_in(np.concatenate([np.zeros((5, 1)), *(part[:, one.outputs] for part in parts)], axis=1))
-        found.append(replace(one, terms=terms, through=one.through or bool(through[one.outputs].any())))
-    return found
+    responses = []
+    for response in rows:
+        terms = terms_in(np.concatenate([np.zeros((5, 1)), *(part[:, response.outputs] for part in parts)], axis=1))
+        responses.append(
+            replace(response, terms=terms, through=response.through or bool(through[response.outputs].any()))
+        )
+    return responses
 
 
 def _target(rows: Any) -> NDArray[Any]:

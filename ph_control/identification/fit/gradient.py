@@ -393,8 +393,8 @@ def columns(d: Array, u: Array, h: float) -> tuple[Array, Array]:
     w = lfilter([1.0], [1.0, complex(-1.0, h * d[0])], impulse)
     position, velocity = [w.imag / -d[0]], [w.real]
     for frequency in d[1:]:
-        for found, signal in zip((position, velocity), _resonate(frequency, h, position[-1]), strict=True):
-            found.append(signal)
+        for signals, signal in zip((position, velocity), _resonate(frequency, h, position[-1]), strict=True):
+            signals.append(signal)
     # delta^2 times the last position is the one before it less d^2 times itself, and so on
     links = np.diag(np.ones(n - 1), -1) - np.diag(d**2)
     rows = [np.eye(n)[-1]]

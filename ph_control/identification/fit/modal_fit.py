@@ -189,12 +189,12 @@ def checked_delay(value: Any, outputs: int) -> Array | None:
     if isinstance(value, str):
         _checks.choice("delay", value, ("auto",))
         return None
-    found = _checks.real_array("delay", value)
-    if found.shape not in ((), (outputs,)):
+    delays = _checks.real_array("delay", value)
+    if delays.shape not in ((), (outputs,)):
         raise StructureError(
-            f"delay has shape {found.shape}; it must be 'auto', a number, or one for each of the {outputs} outputs"
+            f"delay has shape {delays.shape}; it must be 'auto', a number, or one for each of the {outputs} outputs"
         )
-    return np.broadcast_to(found, outputs).copy()
+    return np.broadcast_to(delays, outputs).copy()
 
 
 def begin_at_rest(channels: Channels) -> bool:
@@ -213,19 +213,19 @@ def under_either_hold(
     Free residues and a feedthrough are the same models under either hold; only structures tell the two apart.  So it is
     with delays of the outputs that are left to the data.
     """
-    best, found = _chosen(free, request, findings, with_delay)
-    if found.whiteness >= WHITE or not found.success:
-        return found
+    best, result = _chosen(free, request, findings, with_delay)
+    if result.whiteness >= WHITE or not result.success:
+        return result
     late = best is not None and best.free.delay_open and bool(best.free.delay.any())
     free = best.free if best is not None and late else free
     try:
-        if found.structure != "free" and not free.noise and is_white(free.projection):
-            return found  # noise is what is beside the free model, whatever a structure leaves
+        if result.structure != "free" and not free.noise and is_white(free.projection):
+            return result  # noise is what is beside the free model, whatever a structure leaves
         whitened = beside_coloured_noise(free)
         if whitened is free:
-            return found
+            return result
     except KeyboardInterrupt:
-        return cut_short(found)
+        return cut_short(result)
     whitened = replace(whitened, held_otherwise=free.held_otherwise).with_rival(beside_coloured_noise)
     return _chosen(whitened, request, findings)[1]
 
@@ -266,8 +266,8 @@ class _Chosen:
 
 def _beside(findings: tuple[Finding, ...], free: FreeFit) -> tuple[Finding, ...]:
     """Findings of the data, those of the fit in place of others of the same cause."""
-    anew = {one.cause for one in free.findings}
-    return (*(one for one in findings if one.cause not in anew), *free.findings)
+    anew = {finding.cause for finding in free.findings}
+    return (*(finding for finding in findings if finding.cause not in anew), *free.findings)
 
 
 def _of_either_hold(first: _Chosen, request: Request) -> _Chosen:
@@ -278,9 +278,9 @@ def _of_either_hold(first: _Chosen, request: Request) -> _Chosen:
     gain = _gain(best, first)
     if best is first:
         gain = 0.5 * (first.free.rival.criteria.bic - first.free.criteria.bic)
-    found = Finding(Cause.HOLD, (float(HOLDS.index("foh")),), float(gain))
-    others = (one for one in best.free.findings if one.cause is not Cause.HOLD)
-    return replace(best, free=replace(best.free, findings=(*others, found)))
+    hold = Finding(Cause.HOLD, (float(HOLDS.index("foh")),), float(gain))
+    others = (finding for finding in best.free.findings if finding.cause is not Cause.HOLD)
+    return replace(best, free=replace(best.free, findings=(*others, hold)))
 
 
 def _under_likelier_hold(first: _Chosen, request: Request) -> _Chosen:
@@ -315,8 +315,8 @@ def _with_delay(
     if stands:
         return _refined(best, best.fit.hypothesis, request)
     hypothesis = "classical" if request.structure == "auto" else request.structure
-    trials = [_delayed(one, best, hypothesis, request, False) for one in (free, other()) if one is not None]
-    trial = min((one for one in trials if one is not None), key=_cost, default=best)
+    trials = [_delayed(fit, best, hypothesis, request, False) for fit in (free, other()) if fit is not None]
+    trial = min((candidate for candidate in trials if candidate is not None), key=_cost, default=best)
     if _explains(trial, best):
         # modes too many may have stood for the delay
         anew = trial.free if with_delay is None else with_delay(trial.free.delay[_places(free)])
@@ -324,8 +324,8 @@ def _with_delay(
             raise KeyboardInterrupt
         anew = replace(anew, findings=free.findings, delay_gain=trial.free.delay_gain)
         frees = [trial.free, anew.with_delay_open(True)]
-        found = [_in_rows_of(one, request) for one in frees if one.order]
-        chosen = min(found, key=_cost)
+        candidates = [_in_rows_of(fit, request) for fit in frees if fit.order]
+        chosen = min(candidates, key=_cost)
         if _explains(chosen, best) and (_stands(chosen, request) or _gain(chosen, best) > TUNING.sure):
             return chosen
     return _refined(best, "free", request) if late and best.fit.structure == "free" else best
@@ -340,7 +340,7 @@ def _explains(trial: _Chosen, best: _Chosen) -> bool:
     """
     if trial is best:
         return False
-    refused = [one.likelihood_ratio for one in best.tests if one.hypothesis == trial.fit.hypothesis]
+    refused = [test.likelihood_ratio for test in best.tests if test.hypothesis == trial.fit.hypothesis]
     spare = (best.fit.parameters - trial.fit.parameters) * float(np.log(trial.fit.projection.rows))
     several = np.sum(trial.fit.p.imag > 0) > 1
     nearly = spare > 0 and several and spare - 2 * _gain(trial, best) < _NEARLY * max([*refused, 0.0])
@@ -359,40 +359,40 @@ def _in_rows_of(free: FreeFit, request: Request) -> _Chosen:
         return _refined(first, first.fit.hypothesis, request)
     classical = _delayed(first.free, first, "classical", request, True)
     wider = _refined(first, "free", request) if first.fit.structure == "free" else first
-    return min((one for one in (classical, wider) if one is not None), key=_cost)
+    return min((candidate for candidate in (classical, wider) if candidate is not None), key=_cost)
 
 
 def _delayed(free: FreeFit, best: _Chosen, hypothesis: str, request: Request, settled: bool) -> _Chosen | None:
     """A structure with delays, in the rows of a free fit."""
     layout = _layout(free, request)
-    found = with_delays(free.projection, layout, hypothesis, free.region, _felt(free, request), settled=settled)
-    if found is None or found.fit.delays is None:
+    delayed = with_delays(free.projection, layout, hypothesis, free.region, _felt(free, request), settled=settled)
+    if delayed is None or delayed.fit.delays is None:
         return None
-    at, late = found.free, _Chosen(free, found.fit, best.tests)
+    projection, late = delayed.free, _Chosen(free, delayed.fit, best.tests)
     gain = free.delay_gain if settled else _gain(late, best)
     now = replace(
-        free, projection=at, unknowns=at.unknowns, delay=found.fit.delays.each, delay_gain=gain, held_otherwise=None,
-        delay_open=True, findings=best.free.findings,
+        free, projection=projection, unknowns=projection.unknowns, delay=delayed.fit.delays.each, delay_gain=gain,
+        held_otherwise=None, delay_open=True, findings=best.free.findings,
     )  # fmt: skip
     return replace(late, free=now)
 
 
 def _refined(best: _Chosen, hypothesis: str, request: Request) -> _Chosen:
     """The same with delays that are no whole samples, and their errors; as it is where the data do not tell them."""
-    found = _delayed(best.free, best, hypothesis, request, True)
-    if found is None or found.fit.delays is None:
+    refined = _delayed(best.free, best, hypothesis, request, True)
+    if refined is None or refined.fit.delays is None:
         return best
     # free residues and what is fed through say the same for all delays within a sample
-    return found if np.all(found.fit.delay_errors < np.pi * found.fit.delays.step) else best
+    return refined if np.all(refined.fit.delay_errors < np.pi * refined.fit.delays.step) else best
 
 
 def _stands(best: _Chosen, request: Request) -> bool:
     """Whether the structure is one that is not rejected within the free model."""
     if request.structure == "auto":
         return best.fit.structure in STRUCTURES[:2]
-    at = best.free.projection
-    unknowns = len(at.x) + int(at.shown.sum()) - at.deficiency
-    return likelihood_test(at, best.fit, max(0, unknowns - best.fit.parameters)).p >= LEVEL
+    projection = best.free.projection
+    unknowns = len(projection.x) + int(projection.shown.sum()) - projection.deficiency
+    return likelihood_test(projection, best.fit, max(0, unknowns - best.fit.parameters)).p >= LEVEL
 
 
 def _places(free: FreeFit) -> slice:
@@ -400,16 +400,18 @@ def _places(free: FreeFit) -> slice:
     return slice(None, None, len(free.channels[0].input_labels) if free.per_entry else 1)
 
 
-def _cost(one: _Chosen) -> float:
+def _cost(chosen: _Chosen) -> float:
     """BIC of a structure with its delays, for as many rows as the data have without them."""
-    rows = sum(int(record.observed.sum()) for record in one.free.channels) * (1 + one.free.per_entry)
-    found = rows * cost_of(one.fit, one.free.scales)
-    return found + (0.0 if one.fit.delays else len(np.unique(one.free.delay[one.free.delay != 0])) * np.log(rows))
+    rows = sum(int(record.observed.sum()) for record in chosen.free.channels) * (1 + chosen.free.per_entry)
+    cost = rows * cost_of(chosen.fit, chosen.free.scales)
+    return cost + (
+        0.0 if chosen.fit.delays else len(np.unique(chosen.free.delay[chosen.free.delay != 0])) * np.log(rows)
+    )
 
 
 def _felt(free: FreeFit, request: Request) -> Mask:
     """What is fed through in any case (outputs of the projection, inputs): to an accelerometer."""
-    felt = np.array([one == "acceleration" for one in request.quantities])
+    felt = np.array([quantity == "acceleration" for quantity in request.quantities])
     inputs = len(free.channels[0].input_labels)
     return felt.repeat(inputs)[:, None] if free.per_entry else felt[:, None].repeat(inputs, axis=1)
 
@@ -456,10 +458,10 @@ def _structure_of(free: FreeFit, request: Request) -> tuple[StructuredFit, tuple
 
 def _without_modes(free: FreeFit) -> StructuredFit:
     """Make a fit without poles: what is fed through, and constants."""
-    at, entries = free.projection, (len(free.channels[0].output_labels), len(free.channels[0].input_labels))
+    projection, entries = free.projection, (len(free.channels[0].output_labels), len(free.channels[0].input_labels))
     return StructuredFit(
         "free", "free", np.zeros(0, complex), np.zeros((0, *entries), complex), feedthrough_of(free), None, None,
-        at.loss, at.unknowns, free.variance, at, True, at,
+        projection.loss, projection.unknowns, free.variance, projection, True, projection,
     )  # fmt: skip
 
 
@@ -557,7 +559,7 @@ def _judged(
     extra = fit.parameters - delays - (len(free.projection.x) + int(free.projection.shown.sum()))
     unknowns = free.unknowns + min(0, extra) + delays + len(free.scales)
     delay, delay_stderr = _delays(fit, free)
-    predicted = [(one.record, one.predicted) for one in experiments]
+    predicted = [(experiment.record, experiment.predicted) for experiment in experiments]
     counts, losses = _losses(predicted, free.per_entry)
     floor = np.maximum(losses, np.finfo(float).tiny * np.maximum(counts, 1))
     known = counts > 0
@@ -582,17 +584,19 @@ def _judged(
     whiteness = 1.0 if rounding else _whiteness(experiments, shown if single else (), model)
     fitted = joint_percent(shares_left(predicted))
     found_late = _lateness(free, delay, delay_stderr) if free.delay_open else ()
-    rejections = [_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL]
-    findings = (*(_in_model(one, experiments) for one in findings), *found_late, *rejections)
+    rejections = [_rejection(test) for test in tests if test.hypothesis in REJECTED and test.p < LEVEL]
+    findings = (*(_in_model(finding, experiments) for finding in findings), *found_late, *rejections)
     findings = (*findings, *_reversed(free, request), *_saturated(experiments))
     if whiteness >= WHITE and not (rounding or free.interrupted):
         findings = (*findings, *_outliers(experiments, spare))
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     errors_of_decay = np.append(spread[len(poles) :][:modes] * np.abs(poles[:modes]), spread[modes : len(poles)])
     growing = np.flatnonzero(poles.real > _CERTAIN * errors_of_decay)
-    length = max((one.dt * one.samples for one in free.channels if isinstance(one, Recording)), default=np.inf)
+    length = max(
+        (channel.dt * channel.samples for channel in free.channels if isinstance(channel, Recording)), default=np.inf
+    )
     slow = np.flatnonzero(np.abs(poles[:modes]) * length < 2 * np.pi * (1 - 1e-6))
-    far = any(one.cause is Cause.OUTLIERS for one in findings)
+    far = any(finding.cause is Cause.OUTLIERS for finding in findings)
     blind = bool(fit.point.deficiency)
     outcome = _outcome(free, fitted, whiteness, spare, far or blind, refused)
     return PEMResult(
@@ -639,11 +643,11 @@ def _judged(
 
 def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     """From the coordinates of the projection to those of a result, NaN for what leaves no trace."""
-    n, at = len(fit.p), fit.projection
-    width, count = at.shared.shape[0] if at.shared.size else 0, len(free.scales)
+    n, projection = len(fit.p), fit.projection
+    width, count = projection.shared.shape[0] if projection.shared.size else 0, len(free.scales)
     places = (2 * n + np.arange(width * count)).reshape(count, width).T
     scales = np.broadcast_to(free.scales, (width, count))
-    inputs = 0 if not width else at.inputs
+    inputs = 0 if not width else projection.inputs
     entries = fit.residues.shape[1:]
 
     def split(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -657,9 +661,9 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     real, imag, through = split(places)
     order = np.concatenate([rank, n + rank, real[rank].ravel(), imag[rank].ravel(), through.ravel()]).astype(int)
     unit = [np.ones(2 * n), *(part.ravel() for part in (split(scales)[0], split(scales)[1], split(scales)[2]))]
-    seen = split(at.shown.astype(float))
+    seen = split(projection.shown.astype(float))
     lost = np.concatenate([np.zeros(2 * n), *((part == 0).ravel() for part in (seen[0][rank], seen[1][rank], seen[2]))])
-    given = fit.covariance if n else at.covariance(fit.variance)
+    given = fit.covariance if n else projection.covariance(fit.variance)
     J, inner = natural_jacobian(fit.p), given.copy()
     inner[: 2 * n] = J @ inner[: 2 * n]
     inner[:, : 2 * n] = inner[:, : 2 * n] @ J.T
@@ -669,19 +673,19 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     size[2 * n :][: 2 * len(twice)] *= np.tile(twice, 2)  # a real pole has its residue in two halves
     if not inner.size:
         return np.full((len(order), len(order)), np.nan)
-    found = inner[np.ix_(order, order)] * np.outer(size, size)
+    covariance = inner[np.ix_(order, order)] * np.outer(size, size)
     # a structure may tell of residues that free ones do not show
     unknown = split(free.projection.blind.astype(float) * bool(fit.point.deficiency))
     hidden = np.concatenate(
         [np.zeros(2 * n), *(part.ravel() for part in (unknown[0][rank], unknown[1][rank], unknown[2]))]
     )
     nothing = np.tile((fit.residues[rank] == 0).ravel(), 2)  # weights that are held at 0
-    still = np.all(fit.residues[rank] == 0, axis=(1, 2)) & (np.diag(found)[:n] == 0)  # poles that leave no trace
+    still = np.all(fit.residues[rank] == 0, axis=(1, 2)) & (np.diag(covariance)[:n] == 0)  # poles that leave no trace
     held = np.concatenate([np.tile(still, 2), nothing, np.zeros(through.size, bool)])
-    absent = (order < 0) | ((lost > 0) & (np.diag(found) == 0)) | (hidden > 0) | held
-    found[absent] = np.nan
-    found[:, absent] = np.nan
-    return found
+    absent = (order < 0) | ((lost > 0) & (np.diag(covariance) == 0)) | (hidden > 0) | held
+    covariance[absent] = np.nan
+    covariance[:, absent] = np.nan
+    return covariance
 
 
 def _delays(fit: StructuredFit, free: FreeFit) -> tuple[Array, Array]:
@@ -699,8 +703,8 @@ def _lateness(free: FreeFit, delay: Array, errors: Array) -> tuple[Finding, ...]
     if not delay.any():
         return ()
     if np.ptp(delay) == 0:
-        found = Finding(Cause.DELAY, (float(delay[0]), float(errors[0])), free.delay_gain)
-        return (found, *_of_other_hold(free, float(delay[0]), float(errors[0])))
+        finding = Finding(Cause.DELAY, (float(delay[0]), float(errors[0])), free.delay_gain)
+        return (finding, *_of_other_hold(free, float(delay[0]), float(errors[0])))
     each = zip(labels, delay.tolist(), errors.tolist(), strict=True)
     return tuple(Finding(Cause.DELAY, (late, error), free.delay_gain, label) for label, late, error in each if late)
 
@@ -721,85 +725,97 @@ def _in_data(fit: StructuredFit, free: FreeFit) -> FreeProjection:
     rows = free.measured.experiments
     if fit.delays is not None:
         rows = fit.delays.rows(rows)  # type: ignore[type-var]
-    at = FreeProjection(rows, fit.p, free.measured.fed)
-    return GivenResidues(at, fit.projection.shared)
+    projection = FreeProjection(rows, fit.p, free.measured.fed)
+    return GivenResidues(projection, fit.projection.shared)
 
 
 def _experiments(
-    at: FreeProjection, fit: StructuredFit, free: FreeFit, rank: Indices, quantities: tuple[str, ...]
+    projection: FreeProjection, fit: StructuredFit, free: FreeFit, rank: Indices, quantities: tuple[str, ...]
 ) -> tuple[FittedChannels, ...]:
     """Predictions, free motions, offsets and backgrounds of each experiment, from the rows of its outputs."""
-    n, found = len(at.p), []
-    rows = iter(zip(at.experiments, at.own, at.predictions(), range(len(at.experiments)), strict=True))
-    for one in free.channels:
-        p, m, outputs = len(one.output_labels), len(one.input_labels), len(free.scales)
-        in_time = isinstance(one, Recording)
-        seen = one.observed.reshape(outputs, -1).any(axis=1)
-        left = int(seen.sum())
-        predicted: NDArray[Any] = np.empty((outputs, one.samples), float if in_time else complex)
+    n, experiments = len(projection.p), []
+    rows = iter(
+        zip(
+            projection.experiments,
+            projection.own,
+            projection.predictions(),
+            range(len(projection.experiments)),
+            strict=True,
+        )
+    )
+    for channel in free.channels:
+        p, m, outputs = len(channel.output_labels), len(channel.input_labels), len(free.scales)
+        in_time = isinstance(channel, Recording)
+        seen = channel.observed.reshape(outputs, -1).any(axis=1)
+        remaining = int(seen.sum())
+        predicted: NDArray[Any] = np.empty((outputs, channel.samples), float if in_time else complex)
         predicted[~seen] = np.nan
         motion, offsets, drifts = np.zeros((n, outputs), complex), np.zeros(outputs), np.zeros(outputs)
         terms = np.zeros((2, 5, outputs), complex)  # of the background, and their standard errors
         errors = np.full(outputs, np.nan)
-        while left > 0:
+        while remaining > 0:
             part, own, values, place = next(rows)
             which = part.outputs
             scale = free.scales[which]
-            left -= len(which)
+            remaining -= len(which)
             if isinstance(part, FreeResponse):
-                spread = np.array([np.diag(inner) for inner, _ in _own_spreads(at, fit, place)]).T
+                spread = np.array([np.diag(inner) for inner, _ in _own_spreads(projection, fit, place)]).T
                 for term, *values_of in zip(part.terms, own, np.sqrt(np.maximum(spread, 0.0)), strict=True):
                     terms[:, term.power + 2, which] += (1j if term.turned else 1.0) * scale * np.array(values_of)
-            residues = at.residues[:, which] if n else np.zeros((0, len(which), m), complex)
+            residues = projection.residues[:, which] if n else np.zeros((0, len(which), m), complex)
             if isinstance(part, FreeRecord):
-                motion[:, which] = 2 * scale * part.motion_at_start(at.p, residues, own)[rank]
+                motion[:, which] = 2 * scale * part.motion_at_start(projection.p, residues, own)[rank]
                 offsets[which], drifts[which] = scale * part.offset_at_start(own)
                 if part.offset:
-                    errors[which] = scale * _roots([spread[-1, -1] for spread, _ in _own_spreads(at, fit, place)])
+                    errors[which] = scale * _roots(
+                        [spread[-1, -1] for spread, _ in _own_spreads(projection, fit, place)]
+                    )
                 values = part.placed(values)
             if len(which) == outputs:
                 predicted = np.multiply(values, scale[:, None], out=values)
             else:
                 predicted[which] = values * scale[:, None]
         if in_time:
-            found.append(FittedChannels(one, motion, offsets, drifts, predicted, offset_stderr=errors))
+            experiments.append(FittedChannels(channel, motion, offsets, drifts, predicted, offset_stderr=errors))
         else:
             nothing = np.zeros((n, 0), complex), np.zeros(p), np.zeros(p)
             coefficients, errors = terms.reshape(2, 5, p, m)
             background = ResponseBackground(coefficients, errors, quantities) if terms.any() else None
-            found.append(FittedChannels(one, *nothing, predicted.reshape(p, m, one.samples), background))
-    return tuple(found)
+            experiments.append(FittedChannels(channel, *nothing, predicted.reshape(p, m, channel.samples), background))
+    return tuple(experiments)
 
 
 def _losses(predicted: Pairs, per_entry: bool) -> tuple[Array, Array]:
     """Real residuals, and sums of their weighted squares, of each output or entry."""
     counts = sum((record.observed & ~np.isnan(values)).sum(axis=-1) * (1 + per_entry) for record, values in predicted)
-    losses = sum(np.sum(weights * np.abs(left) ** 2, axis=-1) for weights, _, left in pieces(predicted))
+    losses = sum(np.sum(weights * np.abs(residuals) ** 2, axis=-1) for weights, _, residuals in pieces(predicted))
     return np.ravel(counts), np.ravel(losses)
 
 
-def _left(one: FittedChannels) -> dict[str, Signal]:
+def _residuals(experiment: FittedChannels) -> dict[str, Signal]:
     """Residuals by label of the output, or of the entry of a response, where they are weighted; of those measured."""
-    outputs, inputs = one.record.output_labels, one.record.input_labels
-    if isinstance(one.record, Recording):
-        seen = np.flatnonzero(one.record.observed.any(axis=1)).tolist()
-        return {outputs[k]: Difference(one.measured[k], one.predicted[k]) for k in seen}
-    left = one.residuals * np.sqrt(one.record.weights)
+    outputs, inputs = experiment.record.output_labels, experiment.record.input_labels
+    if isinstance(experiment.record, Recording):
+        seen = np.flatnonzero(experiment.record.observed.any(axis=1)).tolist()
+        return {outputs[k]: Difference(experiment.measured[k], experiment.predicted[k]) for k in seen}
+    residuals = experiment.residuals * np.sqrt(experiment.record.weights)
     entries = [
-        (f"{o}:{i}", row) for o, rows in zip(outputs, left, strict=True) for i, row in zip(inputs, rows, strict=True)
+        (f"{o}:{i}", row)
+        for o, rows in zip(outputs, residuals, strict=True)
+        for i, row in zip(inputs, rows, strict=True)
     ]
     return {label: row for label, row in entries if not np.isnan(row).all()}
 
 
-def _rows(one: FittedChannels) -> list[Signal]:
+def _rows(experiment: FittedChannels) -> list[Signal]:
     """Real residuals of each output, or real and imaginary parts of those of each entry of a response.
 
     Of a response without its peaks: a few points at a resonance outweigh all others, and alone look white.
     """
-    left = list(_left(one).values())
-    if isinstance(one.record, Recording):
-        return left
-    return [without_peaks(part) for row in left for part in (row[:].real, row[:].imag)]
+    residuals = list(_residuals(experiment).values())
+    if isinstance(experiment.record, Recording):
+        return residuals
+    return [without_peaks(part) for row in residuals for part in (row[:].real, row[:].imag)]
 
 
 def _whiteness(experiments: Sequence[FittedChannels], single: Sequence[Any], model: FittedModel) -> float:
@@ -807,16 +823,18 @@ def _whiteness(experiments: Sequence[FittedChannels], single: Sequence[Any], mod
 
     Short records feel that, and are asked again if they look coloured.
     """
-    p = ljung_box([row for one in experiments for row in _rows(one)], TUNING.lags)
-    samples = sum(one.record.samples for one in single)
+    p = ljung_box([row for experiment in experiments for row in _rows(experiment)], TUNING.lags)
+    samples = sum(experiment.record.samples for experiment in single)
     if not single or p >= TUNING.surely_white or samples * len(model.covariance) > _COUNTED:
         return p
-    found = [directions_of(one, model) for one in single]
+    directions = [directions_of(experiment, model) for experiment in single]
     shared, local = (
-        [part for one, values in zip(single, each, strict=True) for part in _in_rows(one.record, values)]
-        for each in ([one.shared for one in found], [one.local for one in found])
+        [part for experiment, values in zip(single, each, strict=True) for part in _in_rows(experiment.record, values)]
+        for each in ([direction.shared for direction in directions], [direction.local for direction in directions])
     )
-    return ljung_box([row for one in experiments for row in _rows(one)], TUNING.lags, shared=shared, local=local)
+    return ljung_box(
+        [row for experiment in experiments for row in _rows(experiment)], TUNING.lags, shared=shared, local=local
+    )
 
 
 def _in_rows(record: Any, values: NDArray[Any]) -> list[Array]:
@@ -829,14 +847,22 @@ def _in_rows(record: Any, values: NDArray[Any]) -> list[Array]:
 
 def _saturated(experiments: Sequence[FittedChannels]) -> list[Finding]:
     """Outputs of recordings that stay at an end of their range."""
-    every = [(k, one.record) for k, one in enumerate(experiments) if isinstance(one.record, Recording)]
-    ends = [(k, name, saturation(row)) for k, one in every for name, row in zip(one.output_labels, one.y, strict=True)]
+    every = [
+        (k, experiment.record) for k, experiment in enumerate(experiments) if isinstance(experiment.record, Recording)
+    ]
+    ends = [
+        (k, name, saturation(row))
+        for k, record in every
+        for name, row in zip(record.output_labels, record.y, strict=True)
+    ]
     return [Finding(Cause.SATURATION, (float(count), *of), 0.0, name, k) for k, name, (count, of) in ends if count]
 
 
 def _outliers(experiments: Sequence[FittedChannels], spare: int) -> list[Finding]:
     """Values that stand out of the noise of all others of their output and experiment."""
-    every = [(label, k, row) for k, one in enumerate(experiments) for label, row in _left(one).items()]
+    every = [
+        (label, k, row) for k, experiment in enumerate(experiments) for label, row in _residuals(experiment).items()
+    ]
     pairs = zip(every, outliers([row for *_, row in every], spare), strict=True)
     return [Finding(Cause.OUTLIERS, tuple(map(float, far)), 0.0, label, k) for (label, k, _), far in pairs if far]
 
@@ -849,15 +875,15 @@ def _shapes(
     n, (_, p, m) = int(np.sum(poles.imag != 0)), residues.shape
     count, size = len(poles), residues.size
     poles, residues = poles[:n], residues[:n]
-    # a port that was not told stands only where the structure does
+    # a port that was not named holds only where the structure does
     ports = () if request.assumed and fit.structure == "free" else request.ports
     if m:
         shapes = ModeShapes.of(poles, residues, request.quantities, ports)
         entries = np.arange(n * p * m).reshape(n, p * m)
         places = [[l, count + l, *(2 * count + entries[l]), *(2 * count + size + entries[l])] for l in range(n)]
-        blocks = [np.nan_to_num(covariance[np.ix_(one, one)]) for one in places]
+        blocks = [np.nan_to_num(covariance[np.ix_(indices, indices)]) for indices in places]
         return shapes, shape_errors(poles, residues, request.quantities, ports, blocks)
-    motions = np.stack([one.free_amplitudes[:n] for one in experiments], axis=2)
+    motions = np.stack([experiment.free_amplitudes[:n] for experiment in experiments], axis=2)
     shapes = ModeShapes.of(poles, motions, request.quantities, ())
     shapes = ModeShapes(shapes.shapes, np.zeros((n, 0), complex), shapes.scaled)
     return shapes, shape_errors(
@@ -871,32 +897,32 @@ def _roots(variances: ArrayLike) -> Array:
     return np.sqrt(np.where(each >= 0, each, np.nan))
 
 
-def _own_spreads(at: FreeProjection, fit: StructuredFit, experiment: int) -> list[tuple[Array, Array]]:
+def _own_spreads(projection: FreeProjection, fit: StructuredFit, experiment: int) -> list[tuple[Array, Array]]:
     """Covariance of what belongs to an experiment, for each output, and with the poles and shared unknowns of it."""
-    every = fit.covariance if len(fit.p) else at.covariance(fit.variance)
-    return at.own_covariances(experiment, every, fit.variance)
+    every = fit.covariance if len(fit.p) else projection.covariance(fit.variance)
+    return projection.own_covariances(experiment, every, fit.variance)
 
 
-def _motion_covariances(at: FreeProjection, fit: StructuredFit, free: FreeFit, rank: Indices) -> list[Array]:
+def _motion_covariances(projection: FreeProjection, fit: StructuredFit, free: FreeFit, rank: Indices) -> list[Array]:
     """Covariance of `(d, zeta, Re, Im of the free motions)` of each mode, outputs by experiments, of a free motion."""
     n, count, runs = len(fit.p), len(free.scales), len(free.channels)
     J, inner = natural_jacobian(fit.p), fit.covariance[: 2 * n, : 2 * n]
     measured = np.cumsum([int(data.observed.any(axis=-1).sum()) for data in free.channels])
     size, done = count * runs, 0
-    found = [np.zeros((2 + 2 * size, 2 + 2 * size)) for _ in range(n)]
-    for l, total in enumerate(found):
+    covariances = [np.zeros((2 + 2 * size, 2 + 2 * size)) for _ in range(n)]
+    for l, total in enumerate(covariances):
         total[:2, :2] = J[[l, n + l]] @ inner @ J[[l, n + l]].T
-    for k, rows in enumerate(at.experiments):
+    for k, rows in enumerate(projection.experiments):
         place = int(np.searchsorted(measured, done, side="right"))
         done += len(rows.outputs)
-        for output, (spread, with_poles) in zip(rows.outputs.tolist(), _own_spreads(at, fit, k), strict=True):
+        for output, (spread, with_poles) in zip(rows.outputs.tolist(), _own_spreads(projection, fit, k), strict=True):
             scale = 2 * free.scales[output]
-            for l, total in enumerate(found):
+            for l, total in enumerate(covariances):
                 both = [2 + output * runs + place, 2 + size + output * runs + place]
                 total[np.ix_(both, both)] = scale**2 * spread[np.ix_([l, n + l], [l, n + l])]
                 total[np.ix_(both, [0, 1])] = scale * with_poles[[l, n + l], : 2 * n] @ J[[l, n + l]].T
                 total[np.ix_([0, 1], both)] = total[np.ix_(both, [0, 1])].T
-    return [found[l] for l in rank.tolist()]
+    return [covariances[l] for l in rank.tolist()]
 
 
 # --- one input and one output ----------------------------------------------------------------------------------------
@@ -922,39 +948,39 @@ def _squeezed(
 
 
 def _state_errors(
-    at: FreeProjection, fit: StructuredFit, free: FreeFit, rank: Indices, quantity: str, lossless: bool
+    projection: FreeProjection, fit: StructuredFit, free: FreeFit, rank: Indices, quantity: str, lossless: bool
 ) -> list[Array]:
     """Standard errors of the initial state in each experiment of one input and one output; NaN if it began at rest.
 
     Of lossless modes, `q + i p = conj(a) / (c d sqrt(r))` with the motion `a` and the weight `c` of the state in the
     output; else the state is the motion.
     """
-    n, scale, found, rows = len(fit.p), float(free.scales[0]), [], 0
+    n, scale, state_errors, rows = len(fit.p), float(free.scales[0]), [], 0
     size = 2 * n if lossless else int(np.sum(np.where(fit.p.imag == 0, 1, 2)))
     for data in free.channels:
         seen = bool(data.observed.any()) and isinstance(data, Recording)
-        moving = seen and at.experiments[rows].moving and n > 0
+        moving = seen and projection.experiments[rows].moving and n > 0
         if not moving:
-            found.append(np.full(size * isinstance(data, Recording), np.nan))
+            state_errors.append(np.full(size * isinstance(data, Recording), np.nan))
         else:
-            ((spread, crossed),) = _own_spreads(at, fit, rows)
+            ((spread, crossed),) = _own_spreads(projection, fit, rows)
             if not lossless:
                 errors = 2 * scale * _roots(np.diag(spread)[: 2 * n].reshape(2, n).T)[rank]
                 kept = np.stack([np.ones(n, bool), fit.p[rank].imag != 0], axis=1)
-                found.append(errors[kept])
+                state_errors.append(errors[kept])
             else:
-                found.append(_modal_state_errors(at, fit, rows, spread, crossed, rank, scale, quantity))
+                state_errors.append(_modal_state_errors(projection, fit, rows, spread, crossed, rank, scale, quantity))
         rows += int(data.observed.any())
-    return found
+    return state_errors
 
 
 def _modal_state_errors(
-    at: FreeProjection, fit: StructuredFit, rows: int, spread: Array, crossed: Array, rank: Indices, scale: float,
-    quantity: str,
+    projection: FreeProjection, fit: StructuredFit, rows: int, spread: Array, crossed: Array, rank: Indices,
+    scale: float, quantity: str,
 ) -> Array:  # fmt: skip
     """Standard errors of `(q, p)` of lossless modes."""
     n, power, d = len(fit.p), POWERS[quantity], np.abs(fit.p)
-    own, shared = at.own[rows][:, 0], at.shared[:, 0]
+    own, shared = projection.own[rows][:, 0], projection.shared[:, 0]
     per_weight = residue_of_unit_weight(d, power)
     r = (scale * (shared[:n] + 1j * shared[n : 2 * n]) / per_weight).real
     shown = r > 0
@@ -979,25 +1005,27 @@ def _in_model(finding: Finding, experiments: Sequence[FittedChannels]) -> Findin
     """A finding of constants or drifts with the values that the model has."""
     if finding.cause not in (Cause.CONSTANT, Cause.DRIFT):
         return finding
-    each = [one.offsets if finding.cause is Cause.CONSTANT else one.drifts for one in experiments]
-    kept = [values[one.record.observed.any(axis=-1)] for values, one in zip(each, experiments, strict=True)]
+    each = [experiment.offsets if finding.cause is Cause.CONSTANT else experiment.drifts for experiment in experiments]
+    kept = [
+        values[experiment.record.observed.any(axis=-1)] for values, experiment in zip(each, experiments, strict=True)
+    ]
     return replace(finding, values=tuple(np.concatenate(kept).tolist()))
 
 
 def _reversed(free: FreeFit, request: Request) -> list[Finding]:
     """Sensors at driving points that point against the force, by the residues of all modes in units of velocity."""
-    at, found = free.projection, list[Finding]()
-    if not (at.inputs and free.order) or at.deficiency:
-        return found
-    residues, _ = _layout(free, request).split(at.shared, len(at.p))
-    modes, labels = at.p.imag > 0, free.channels[0].output_labels
+    projection, findings = free.projection, list[Finding]()
+    if not (projection.inputs and free.order) or projection.deficiency:
+        return findings
+    residues, _ = _layout(free, request).split(projection.shared, len(projection.p))
+    modes, labels = projection.p.imag > 0, free.channels[0].output_labels
     for output, driven in request.ports:
         power = POWERS.get(request.quantities[output])
         if power is not None:
-            along = residues[modes, output, driven] * at.p[modes] ** (1 - power)
+            along = residues[modes, output, driven] * projection.p[modes] ** (1 - power)
             if np.all(along.real < -_OPPOSED * np.abs(along)):
-                found.append(Finding(Cause.POLARITY, (), 0.0, labels[output]))
-    return found
+                findings.append(Finding(Cause.POLARITY, (), 0.0, labels[output]))
+    return findings
 
 
 def _rejection(test: HypothesisTest) -> Finding:
@@ -1058,19 +1086,19 @@ def _message(
         if whiteness < WHITE and fitted < GOOD_FIT:
             why = f"the fit is {fitted:.0f} %, less than {GOOD_FIT:.0f} %, and what is left is no white noise"
         parts.append(f"Doubtful, as {why}.")
-        limited = free.order == most and all(one.cause is not Cause.LARGEST_ORDER for one in findings)
+        limited = free.order == most and all(finding.cause is not Cause.LARGEST_ORDER for finding in findings)
         if fitted < GOOD_FIT and whiteness < WHITE and limited:
             parts.append(f"A model of more than {counted(most, 'mode')} may fit better.")
-        if fitted < GOOD_FIT and whiteness < WHITE and not any(len(one.input_labels) for one in free.channels):
+        if fitted < GOOD_FIT and whiteness < WHITE and not any(len(channel.input_labels) for channel in free.channels):
             parts.append(
                 "This is no free decay if forces that were not measured, such as wind or traffic, act all along: "
                 "record a decay or the forces, or use a program for ambient excitation."
             )
     unit = free.channels[0].time_unit
     parts += [sentence_of(finding, free.intersample, unit) for finding in findings]
-    kept = [one for one in tests if one.p >= LEVEL and one.dof]
+    kept = [test for test in tests if test.p >= LEVEL and test.dof]
     if kept:
-        parts.append("Not rejected: " + ", ".join(f"{one.hypothesis} ({p_value(one.p)})" for one in kept) + ".")
+        parts.append("Not rejected: " + ", ".join(f"{test.hypothesis} ({p_value(test.p)})" for test in kept) + ".")
     if len(growing):
         grow = "grows" if len(growing) == 1 else "grow"
         parts.append(f"{counted(len(growing), 'pole')} {grow}: {', '.join(map(str, growing + 1))}.")
@@ -1087,10 +1115,10 @@ def _message(
     elif free.rounding and whiteness == 1:
         parts.append("The data are reproduced to rounding.")
     elif whiteness < WHITE:
-        left = "something is left unexplained"
+        remark = "something is left unexplained"
         if free.measured is not None:
-            left = "errors and tests are those of noise with their spectrum"
-        parts.append(f"The residuals are not white (Ljung-Box {p_value(whiteness)}): {left}.")
+            remark = "errors and tests are those of noise with their spectrum"
+        parts.append(f"The residuals are not white (Ljung-Box {p_value(whiteness)}): {remark}.")
     else:
         more = ": the model explains the data" * (outcome is not Outcome.DOUBTFUL)
         parts.append(f"The residuals are white{more}.")

@@ -32,11 +32,11 @@ def lossless_parts(fields: Fields, experiments: Callable[..., Any]) -> dict[str,
     if quantity not in POWERS:
         raise StructureError(f"quantity is {quantity!r}; it must be one of {', '.join(map(repr, POWERS))}")
     n, power, data = len(d), POWERS[quantity], experiments(fields, system.n)
-    driven = any(getattr(one.record, "driven", True) for one in data)
+    driven = any(getattr(experiment.record, "driven", True) for experiment in data)
     per_weight = residue_of_unit_weight(d, power)
     residues = (per_weight * r).reshape(n, 1, 1)[:, :, : int(driven)]
     places = np.concatenate([seen, system.n + seen])
-    known = 2 * system.n + sum(len(one.initial_state) for one in data)
+    known = 2 * system.n + sum(len(experiment.initial_state) for experiment in data)
     every = fields.array("covariance", (known, known), finite=False)
     inner = every[np.ix_(places, places)]
     J, l = np.zeros((4 * n + 1, 2 * n)), np.arange(n)
@@ -70,9 +70,12 @@ def lossless_parts(fields: Fields, experiments: Callable[..., Any]) -> dict[str,
         "ports": ((0, 0),) * driven,
         "quantities": (quantity,),
         "noise_variance": np.full((1, 1) if in_frequency else (1,), noise),
-        "experiments": tuple(_without(one, seen, *error) for one, error in zip(data, errors, strict=True)),
+        "experiments": tuple(
+            _without(experiment, seen, *error) for experiment, error in zip(data, errors, strict=True)
+        ),
         "unknowns": int(np.isfinite(np.append(np.diag(every), offsets)).sum()) + 1,
-        "outcome": _OUTCOMES.get(verdict) or next((one for one in Outcome if one.value == verdict), Outcome.DOUBTFUL),
+        "outcome": _OUTCOMES.get(verdict)
+        or next((outcome for outcome in Outcome if outcome.value == verdict), Outcome.DOUBTFUL),
     }
 
 

@@ -340,7 +340,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
             return self.observed_system
         ports = sorted(self.ports, key=lambda port: port[1])
         velocities = [o for o, _ in ports]
-        powers = np.array([POWERS[one] for one in self.quantities])
+        powers = np.array([POWERS[quantity] for quantity in self.quantities])
         with np.errstate(all="ignore"):
             turned = self.residues * (self.poles[:, None] ** (1.0 - powers))[:, :, None]
         if not np.all(np.isfinite(turned)):
@@ -401,8 +401,8 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
             ct.ss(ct.tf(*ct.pade(late, order))) if late else ct.ss([], [], [], [[1.0]]) for late in self.delay.tolist()
         ]
         plant = self.observed_system
-        found = ct.ss(ct.append(*parts) * plant)
-        A, B, C, D = found.A, found.B, found.C, found.D
+        delayed = ct.ss(ct.append(*parts) * plant)
+        A, B, C, D = delayed.A, delayed.B, delayed.C, delayed.D
         names = {"inputs": list(plant.input_labels), "outputs": list(plant.output_labels)}
         return with_unit(ct.StateSpace(A, B, C, D, remove_useless_states=False, **names), self.time_unit)
 
@@ -411,7 +411,10 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
     @property
     def _spare(self) -> int:
         """Real residuals less what was estimated."""
-        parts = sum(int(one.record.observed.sum()) * (1 + np.iscomplexobj(one.predicted)) for one in self.experiments)
+        parts = sum(
+            int(experiment.record.observed.sum()) * (1 + np.iscomplexobj(experiment.predicted))
+            for experiment in self.experiments
+        )
         return max(1, parts - self.unknowns)
 
     def sample(self, k: int, rng: Any = None) -> ModalSamples:
@@ -459,19 +462,19 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
             power = POWERS[self.quantity]
             weights[(2 + (power != 1)) * n :][:n] = True
             sign[weights] = -1.0 if power == 0 else 1.0
-        found = sign * draw(
+        draws = sign * draw(
             sign * mean, self.covariance * np.outer(sign, sign), k, rng, positive=np.arange(len(mean)) < n,
             nonnegative=weights,
         )  # fmt: skip
-        d, zeta = found[:, :n], found[:, n : 2 * n]
+        d, zeta = draws[:, :n], draws[:, n : 2 * n]
         poles = d * (-zeta + 1j * np.sqrt(np.maximum(1 - zeta**2, 0.0)))
-        residues = (found[:, 2 * n :][:, :size] + 1j * found[:, 2 * n + size :][:, :size]).reshape(len(found), n, p, m)
-        shapes = np.broadcast_to(self.shapes, (len(found), self.order, p))
+        residues = (draws[:, 2 * n :][:, :size] + 1j * draws[:, 2 * n + size :][:, :size]).reshape(len(draws), n, p, m)
+        shapes = np.broadcast_to(self.shapes, (len(draws), self.order, p))
         if m:
             modes, of_modes = (part[:, : self.order] for part in (poles, residues))
             shaped = ModeShapes.of(modes.ravel(), of_modes.reshape(-1, p, m), self.quantities, self._scaling)
-            shapes = shaped.shapes.reshape(len(found), self.order, p)
-        through = found[:, 2 * n + 2 * size :].reshape(len(found), p, m)
+            shapes = shaped.shapes.reshape(len(draws), self.order, p)
+        through = draws[:, 2 * n + 2 * size :].reshape(len(draws), p, m)
         return ModalSamples(poles, residues, through, shapes, self.background, self.delay)
 
     def sample_systems(self, k: int, rng: Any = None) -> list[Any]:
@@ -533,7 +536,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
 
     def _orders_about(self, most: int) -> Orders:
         """Poles and shapes of models of one mode more each, this result among them; of lossless modes without decay."""
-        records: Any = as_channels([one.record for one in self.experiments])
+        records: Any = as_channels([experiment.record for experiment in self.experiments])
         rows = orders_about(
             records, self.poles, most, quantities=self.quantities, intersample=self.intersample,
             offset=bool(self.offsets.any()), moving=self._moving, method=self.method, delay=self.delay,
@@ -552,8 +555,8 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
     @property
     def _moving(self) -> bool:
         """Whether records with inputs may start in motion, as others do."""
-        driven = [one for one in self.experiments if np.any(getattr(one.record, "u", 0.0))]
-        return any(bool(np.any(one.free_amplitudes)) for one in driven)
+        driven = [experiment for experiment in self.experiments if np.any(getattr(experiment.record, "u", 0.0))]
+        return any(bool(np.any(experiment.free_amplitudes)) for experiment in driven)
 
     @property
     def _moves_as_state(self) -> bool:
@@ -581,7 +584,9 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
     @property
     def offsets(self) -> Array:
         """Constant added to each output in each experiment, shape (E, p); (E,) of one input and output."""
-        return np.array([getattr(one, "offsets", getattr(one, "offset", 0.0)) for one in self.experiments])
+        return np.array(
+            [getattr(experiment, "offsets", getattr(experiment, "offset", 0.0)) for experiment in self.experiments]
+        )
 
     @property
     def background(self) -> ResponseBackground | None:
@@ -648,11 +653,11 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
             time_unit=common_unit(record, self),
         )  # fmt: skip
         outputs = self._outputs_on(record, initial_state)
-        found = ct.TimeResponseData(
+        prediction = ct.TimeResponseData(
             record.time, outputs, inputs=record.u if m else None, issiso=p == m == 1, output_labels=self.output_labels,
             input_labels=list(self.input_labels) if m else None, title=record.title or "Prediction",
         )  # fmt: skip
-        return with_unit(found, self.time_unit)
+        return with_unit(prediction, self.time_unit)
 
     def _outputs_on(self, record: Recording, initial_state: ArrayLike | str | None) -> Array:
         """Outputs on a record, from a motion of some name."""
@@ -730,9 +735,9 @@ def _singular(poles: ComplexArray, residues: ComplexArray) -> tuple[ComplexArray
 
 
 def _complex(real: Array, imaginary: Array, shape: tuple[int, ...]) -> ComplexArray:
-    found = np.empty(len(real), complex)
-    found.real, found.imag = real, imaginary
-    return found.reshape(shape)
+    values = np.empty(len(real), complex)
+    values.real, values.imag = real, imaginary
+    return values.reshape(shape)
 
 
 def _recording(data: Any, dt: Any, outputs: int) -> Recording:
@@ -741,7 +746,7 @@ def _recording(data: Any, dt: Any, outputs: int) -> Recording:
     if blind:
         u = np.atleast_2d(_checks.real_array("the input", data[0]))
         data = (u, np.zeros((outputs, u.shape[1])))
-    found: Any = as_channels(data, dt if isinstance(data, tuple) else None)
-    if len(found) > 1 or isinstance(found[0], ResponseMatrix):
-        raise StructureError(f"data is a {type(data).__name__} of {len(found)} experiments; pass one time record")
-    return replace(found[0], y=np.full_like(found[0].y, np.nan)) if blind else found[0]
+    channels: Any = as_channels(data, dt if isinstance(data, tuple) else None)
+    if len(channels) > 1 or isinstance(channels[0], ResponseMatrix):
+        raise StructureError(f"data is a {type(data).__name__} of {len(channels)} experiments; pass one time record")
+    return replace(channels[0], y=np.full_like(channels[0].y, np.nan)) if blind else channels[0]

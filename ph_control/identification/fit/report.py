@@ -14,7 +14,7 @@ from ..data.quantities import measured_by
 
 _SHOWN = 6  # experiments listed one by one
 _NAMED = 4  # channels
-_BACKGROUND = 0.01  # of the response, from which it is told
+_BACKGROUND = 0.01  # share of the response from which it is reported
 
 
 class ModalReport(Report):
@@ -42,7 +42,7 @@ class ModalReport(Report):
 
     def _tables(self: Any) -> list[list[str]]:
         shown = (self._mode_table(), real_pole_table(self), test_table(self.tests))
-        return [aligned(one) for one in shown if len(one) > 1]
+        return [aligned(table) for table in shown if len(table) > 1]
 
     def _lines(self: Any) -> list[str]:
         inputs, outputs = self.input_labels, self.output_labels
@@ -95,7 +95,7 @@ def mode_table(model: Any) -> list[list[str]]:
         along = turned.real**2 * C[l, l] + turned.imag**2 * C[count + l, count + l] - crossed
         columns.append((np.abs(rho), np.sqrt(np.maximum(along, 0.0))))
         head += ["|residue|", "+-", "phase [deg]"]
-        last = [f"{np.degrees(np.angle(one)):.1f}" for one in rho]
+        last = [f"{np.degrees(np.angle(residue)):.1f}" for residue in rho]
     else:
         head.append("collinearity")
         last = [f"{value:.3f}" for value in model.phase_collinearity]
@@ -148,7 +148,7 @@ def counted_poles(result: Any) -> str:
 
 def test_table(tests: Any) -> list[list[str]]:
     """Cells of the tests of structures, a head first."""
-    rows = [[one.hypothesis, f"{one.likelihood_ratio:.4g}", str(one.dof), p_value(one.p)] for one in tests]
+    rows = [[test.hypothesis, f"{test.likelihood_ratio:.4g}", str(test.dof), p_value(test.p)] for test in tests]
     return [["hypothesis", "likelihood ratio", "dof", ""], *rows]
 
 
@@ -159,7 +159,7 @@ def _listed(labels: Any) -> str:
 
 def _channel_lines(result: Any) -> list[str]:
     """What was measured."""
-    records = [one.record for one in result.experiments]
+    records = [experiment.record for experiment in result.experiments]
     missing = sum(int((~record.observed).sum()) for record in records)
     tail = f", {missing} values missing" * bool(missing)
     samples = sum(record.samples for record in records)
@@ -175,11 +175,11 @@ def _channel_lines(result: Any) -> list[str]:
 def _background_line(result: Any) -> list[str]:
     """What a fit of responses has beside its modes, and `system` has not; nothing where that is small."""
     shares = [np.zeros(0)]
-    for one in result.experiments if result.order else ():
-        modes = result.observed_system(1j * one.record.omega, squeeze=False, warn_infinite=False)
-        if np.size(one.predicted) != modes.size:
+    for experiment in result.experiments if result.order else ():
+        modes = result.observed_system(1j * experiment.record.omega, squeeze=False, warn_infinite=False)
+        if np.size(experiment.predicted) != modes.size:
             continue
-        predicted = np.reshape(one.predicted, modes.shape)
+        predicted = np.reshape(experiment.predicted, modes.shape)
         with np.errstate(all="ignore"):
             share = np.abs(predicted - modes) / np.abs(predicted)
         shares.append(share[np.isfinite(share)])

@@ -104,7 +104,7 @@ class FittedModes(Report, Frozen):
     @property
     def time_unit(self) -> str | None:
         """Unit of time of the data, as 'ms', and so of frequencies in radians per unit; None where it is not known."""
-        return common_unit([one.record for one in self.experiments])
+        return common_unit([experiment.record for experiment in self.experiments])
 
     @property
     def input_labels(self) -> tuple[str, ...]:
@@ -201,12 +201,12 @@ class FittedModes(Report, Frozen):
     @property
     def predicted(self) -> NDArray[Any]:
         """Predicted outputs, all experiments one after the other along the last axis."""
-        return _checks.readonly(np.concatenate([one.predicted for one in self.experiments], axis=-1))
+        return _checks.readonly(np.concatenate([experiment.predicted for experiment in self.experiments], axis=-1))
 
     @property
     def residuals(self) -> NDArray[Any]:
         """What the prediction leaves, all experiments one after the other; NaN where the output is missing."""
-        return _checks.readonly(np.concatenate([one.residuals for one in self.experiments], axis=-1))
+        return _checks.readonly(np.concatenate([experiment.residuals for experiment in self.experiments], axis=-1))
 
     @on_one_thread
     def stabilisation(
@@ -398,14 +398,14 @@ class FittedModes(Report, Frozen):
                 "residuals": {"experiment": experiment},
             }
             return pictures[kind](self, **given.get(kind, {}), **kwargs)
-        one = chosen_experiment(self.experiments, experiment)
+        fitted_experiment = chosen_experiment(self.experiments, experiment)
         place = _checks.whole_number("output", 0 if output is None else output, 0, len(self.output_labels) - 1)
-        if np.iscomplexobj(one.predicted):
+        if np.iscomplexobj(fitted_experiment.predicted):
             source = _checks.whole_number("input", 0 if input is None else input, 0, len(self.input_labels) - 1)
-            plant, data, whole = self, one.record.as_response(), self.residues.shape[1:] == (1, 1)
+            plant, data, whole = self, fitted_experiment.record.as_response(), self.residues.shape[1:] == (1, 1)
             if not whole:
-                plant, data = self._entry(place, source, one.record.omega), data[place, source]
-                background = getattr(one, "background", None)
+                plant, data = self._entry(place, source, fitted_experiment.record.omega), data[place, source]
+                background = getattr(fitted_experiment, "background", None)
                 plant.background = background and background.entry(place, source)
             names = (parted(name)[0] for name in (self.input_labels[source], self.output_labels[place]))
             kwargs.setdefault("Hz", unit_for(kwargs.get("time_unit"), self) in SECONDS)
@@ -417,9 +417,11 @@ class FittedModes(Report, Frozen):
         if unit:
             kwargs.setdefault("output_unit", unit)
         kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), self)
-        y, predicted = (np.atleast_2d(part)[place] for part in (one.measured, one.predicted))
-        fitted = joint_percent(np.ravel(shares_left([(one.record, one.predicted)]))[place])
-        return fit_plot(one.record.time, y, predicted, fit_percent=fitted, **kwargs)
+        y, predicted = (
+            np.atleast_2d(part)[place] for part in (fitted_experiment.measured, fitted_experiment.predicted)
+        )
+        fitted = joint_percent(np.ravel(shares_left([(fitted_experiment.record, fitted_experiment.predicted)]))[place])
+        return fit_plot(fitted_experiment.record.time, y, predicted, fit_percent=fitted, **kwargs)
 
     def _entry(self, output: int, input: int, omega: Array) -> Any:
         """Model of one output and input, with its delay at some frequencies only."""
@@ -501,10 +503,10 @@ class FittedModes(Report, Frozen):
         write_atomically(target, page, overwrite=overwrite)
 
 
-def _compared_shapes(found: Any) -> ComplexArray:
+def _compared_shapes(model: Any) -> ComplexArray:
     """Shapes over the outputs (n, p), or of one output and several inputs over the inputs (n, m)."""
-    moved = over_inputs(found)
-    return np.asarray(found.shapes) if moved is None else moved
+    moved = over_inputs(model)
+    return np.asarray(model.shapes) if moved is None else moved
 
 
 def cut_short(result: Any) -> Any:

@@ -23,7 +23,7 @@ Ports = Sequence[tuple[int, int]]  # (output, input) of each driving point
 
 def in_velocity_units(poles: ComplexArray, quantities: Sequence[str]) -> ComplexArray:
     """Factors (n, outputs) that make `psi psi^T` of residues: `2j Im p / p^k`."""
-    power = np.array([POWERS[one] for one in quantities])
+    power = np.array([POWERS[quantity] for quantity in quantities])
     return np.asarray(2j * poles.imag[:, None] / poles[:, None] ** power)
 
 
@@ -105,15 +105,15 @@ def shape_errors(
 
     `covariances` are those of `(d, zeta, Re rho, Im rho)` of each mode, residues (p, m) row by row.
     """
-    found = np.full(residues.shape[:2], complex(np.nan, np.nan))
+    errors = np.full(residues.shape[:2], complex(np.nan, np.nan))
     if not residues.shape[2]:
-        return found
+        return errors
     for l, covariance in enumerate(covariances):
         J = shape_jacobian(poles[l], residues[l], quantities, ports)
         variances = np.einsum("ij,jk,ik->i", J, covariance, J)
         parts = np.sqrt(np.maximum(variances, 0.0)).reshape(2, -1)
-        found[l] = parts[0] + 1j * parts[1]
-    return found
+        errors[l] = parts[0] + 1j * parts[1]
+    return errors
 
 
 def shape_jacobian(pole: complex, residue: ComplexArray, quantities: Sequence[str], ports: Ports) -> Array:
@@ -122,7 +122,7 @@ def shape_jacobian(pole: complex, residue: ComplexArray, quantities: Sequence[st
     poles = np.array([pole])
     factor = in_velocity_units(poles, quantities)[0]
     K = residue * factor[:, None]
-    power = np.array([POWERS[one] for one in quantities])
+    power = np.array([POWERS[quantity] for quantity in quantities])
     d, zeta = abs(pole), -pole.real / abs(pole)
     dK = np.zeros((2 + 2 * p * m, p, m), complex)
     for row, dp in enumerate((pole / d, d * complex(-1.0, -zeta / np.sqrt(1 - zeta**2)))):

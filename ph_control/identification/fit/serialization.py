@@ -51,7 +51,9 @@ Shapes = Mapping[str, tuple[int | None, ...]]
 def _written(thing: Any, *apart: str) -> dict[str, Any]:
     """Fields of an object as a document holds them, but for some; what is None is left out."""
     hints = get_type_hints(type(thing))
-    values = {one.name: getattr(thing, one.name) for one in fields_of(thing) if one.init and one.name not in apart}
+    values = {
+        field.name: getattr(thing, field.name) for field in fields_of(thing) if field.init and field.name not in apart
+    }
     return {
         _KEYS.get(name, name): _plain(value, _is_of_objects(hints[name]))
         for name, value in values.items() if value is not None
@@ -76,24 +78,26 @@ def _is_of_objects(hint: Any) -> bool:
 
 def _counted(things: Iterable[dict[str, Any]]) -> dict[str, Any]:
     """Objects under the names '1', '2', and so on."""
-    return {str(k): one for k, one in enumerate(things, start=1)}
+    return {str(k): members for k, members in enumerate(things, start=1)}
 
 
 def _all_of(fields: Fields) -> list[Fields]:
     """Objects under these names."""
-    found: list[Fields] = []
-    while str(len(found) + 1) in fields:
-        found.append(fields.nested(str(len(found) + 1)))
-    return found
+    objects: list[Fields] = []
+    while str(len(objects) + 1) in fields:
+        objects.append(fields.nested(str(len(objects) + 1)))
+    return objects
 
 
 def _read(kind: Any, fields: Fields, lengths: Shapes | None = None, /, **known: Any) -> Any:
     """An object of some kind, with what is known of it already."""
     hints = get_type_hints(kind)
-    for one in fields_of(kind):
-        key = _KEYS.get(one.name, one.name)
-        if one.init and one.name not in known and (key in fields or one.name not in _MAY_LACK):
-            known[one.name] = _value(fields, key, one.name, hints[one.name], (lengths or {}).get(one.name, (None,)))
+    for field in fields_of(kind):
+        key = _KEYS.get(field.name, field.name)
+        if field.init and field.name not in known and (key in fields or field.name not in _MAY_LACK):
+            known[field.name] = _value(
+                fields, key, field.name, hints[field.name], (lengths or {}).get(field.name, (None,))
+            )
     return kind(**known)
 
 
@@ -105,14 +109,16 @@ def _value(fields: Fields, key: str, name: str, hint: Any, shape: tuple[int | No
         return (fields.complex_array if kind is np.complex128 else fields.array)(
             key, shape, finite=name not in _MAY_BE_NAN
         )
-    kind = next((one for one in get_args(hint) if one is not NoneType), hint)
+    kind = next((alternative for alternative in get_args(hint) if alternative is not NoneType), hint)
     if get_origin(hint) is not tuple:
         return _scalar(fields, key, name, kind)
     if kind is int:
         return _places(fields, key, shape[0])
     if kind is float:
         return tuple(fields.array(key, (None,)).tolist())
-    return tuple(fields.texts(key)) if kind is str else tuple(_read(kind, one) for one in _all_of(fields.nested(key)))
+    return (
+        tuple(fields.texts(key)) if kind is str else tuple(_read(kind, entry) for entry in _all_of(fields.nested(key)))
+    )
 
 
 def _scalar(fields: Fields, key: str, name: str, kind: Any) -> Any:
@@ -123,11 +129,11 @@ def _scalar(fields: Fields, key: str, name: str, kind: Any) -> Any:
             return float(fields.array(key, (), finite=name not in _MAY_BE_NAN))
         readers: dict[type, Callable[[str], Any]] = {int: fields.integer, bool: fields.flag}
         return readers[kind](key)
-    found = fields.text(key)
-    allowed = [one.value for one in kind] if issubclass(kind, Enum) else _WORDS.get(name, (found,))
-    if found not in allowed:
-        raise StructureError(f"{key} is {found!r}; it must be one of {', '.join(map(repr, allowed))}")
-    return kind(found)
+    text = fields.text(key)
+    allowed = [member.value for member in kind] if issubclass(kind, Enum) else _WORDS.get(name, (text,))
+    if text not in allowed:
+        raise StructureError(f"{key} is {text!r}; it must be one of {', '.join(map(repr, allowed))}")
+    return kind(text)
 
 
 def _places(fields: Fields, name: str, count: int | None = None) -> tuple[int, ...]:
@@ -165,14 +171,16 @@ def _split(table: Fields, orders: tuple[int, ...]) -> list[Array]:
 
 
 def _experiments(fields: Fields, n: int, records: Sequence[Any] = (), states: int | None = None) -> tuple[Any, ...]:
-    """Experiments of a fit of n poles and some states, of records that are known or told with them."""
+    """Experiments of a fit of n poles and some states, of records that are known or stored with them."""
     states = 2 * n if states is None else states
     inner = fields.nested("experiments")
     known = [_experiment(inner.nested(str(k)), n, states, record) for k, record in enumerate(records, start=1)]
-    found = tuple(known or (_experiment(one, n, states, _record(one.nested("record"))) for one in _all_of(inner)))
-    if not found:
+    experiments = tuple(
+        known or (_experiment(entry, n, states, _record(entry.nested("record"))) for entry in _all_of(inner))
+    )
+    if not experiments:
         raise StructureError("there are no experiments; a fit has at least one")
-    return found
+    return experiments
 
 
 def _record(fields: Fields) -> Any:
@@ -194,7 +202,7 @@ def _experiment(fields: Fields, n: int, states: int, record: Any) -> Any:
     if not single:
         p = len(record.output_labels)
         shapes = {"free_amplitudes": (n, p * in_time), "offsets": (p,), "drifts": (p,)}
-    fields.skip("outliers")  # of older files, which now tell them by findings
+    fields.skip("outliers")  # of older files; findings have them now
     known = {"record": record, "predicted": predicted}
     if "background" in fields:
         size = (5, 1, 1) if single else (5, *record.measured.shape[:2])
@@ -207,7 +215,7 @@ def _to_dict(result: PEMResult, *apart: str) -> dict[str, Any]:
     rows, columns = np.triu_indices(len(result.covariance))
     return _written(result, "experiments", "order_table", "ports") | {
         "covariance": result.covariance[rows, columns],
-        "experiments": _counted(_written(one, *apart) for one in result.experiments),
+        "experiments": _counted(_written(experiment, *apart) for experiment in result.experiments),
         "order_table": _table(result.order_table, "order", "loss", "aic", "bic"),
         "ports": {"output": [o for o, _ in result.ports], "input": [i for _, i in result.ports]},
     }

@@ -69,33 +69,35 @@ class Stabilisation(Report, Frozen):
     @property
     def hertz(self) -> tuple[Array, ...]:
         """Natural frequencies of each order in Hz; where `time_unit` is not known, as if it were the second."""
-        return tuple(np.abs(one) / hertz_size(self.time_unit) for one in self.poles)
+        return tuple(np.abs(poles) / hertz_size(self.time_unit) for poles in self.poles)
 
     @property
     def damping_ratios(self) -> tuple[Array, ...]:
         """Damping ratios of each order."""
-        return tuple(0.0 - one.real / np.abs(one) for one in self.poles)
+        return tuple(0.0 - poles.real / np.abs(poles) for poles in self.poles)
 
     @property
     def stable(self) -> tuple[Mask, ...]:
         """Which poles of each order are stable in frequency, damping and, of several outputs, in shape."""
         most = 3 if self.shapes and self.shapes[0].shape[1] > 1 else 2
-        return tuple(one == most for one in self.stability)
+        return tuple(stability == most for stability in self.stability)
 
     @property
     def table(self) -> NDArray[Any]:
         """All poles one after the other, as a structured array: order, hertz, damping_ratio, mac, stability, stable."""
         of_orders: list[Any] = [self.hertz, self.damping_ratios, self.mac, self.stability, self.stable]
-        columns = [np.repeat(self.orders, self.orders), *(np.concatenate(one) for one in of_orders)]
+        columns = [np.repeat(self.orders, self.orders), *(np.concatenate(parts) for parts in of_orders)]
         kinds = zip(("order", "hertz", "damping_ratio", "mac", "stability", "stable"), columns, strict=True)
-        return np.array(list(zip(*columns, strict=True)), [(name, one.dtype) for name, one in kinds]).view(np.recarray)
+        return np.array(list(zip(*columns, strict=True)), [(name, column.dtype) for name, column in kinds]).view(
+            np.recarray
+        )
 
     def __str__(self) -> str:
         """Table of the orders."""
         levels = _LEVELS if self.shapes and self.shapes[0].shape[1] > 1 else _LEVELS[:3]
         rows = [["order", *levels, ""]]
-        for order, one in zip(self.orders, self.stability, strict=True):
-            counts = np.bincount(one, minlength=len(levels))
+        for order, stability in zip(self.orders, self.stability, strict=True):
+            counts = np.bincount(stability, minlength=len(levels))
             rows.append([str(order), *map(str, counts), "the result" if order == self.order else ""])
         return "\n".join(aligned(rows))
 
@@ -132,6 +134,6 @@ def compared(rows: Orders, result: Any, **limits: float) -> Stabilisation:
     poles, shapes = (tuple(np.asarray(row[k])[rank] for row, rank in zip(rows, ranks, strict=True)) for k in (0, 1))
     stability, assurance = stable_poles(poles, shapes, **limits)
     return Stabilisation(
-        np.array([len(one) for one in poles]), poles, shapes, tuple(stability), tuple(assurance), result.order,
-        experiments=result.experiments, time_unit=result.time_unit, **limits,
+        np.array([len(order_poles) for order_poles in poles]), poles, shapes, tuple(stability), tuple(assurance),
+        result.order, experiments=result.experiments, time_unit=result.time_unit, **limits,
     )  # fmt: skip

@@ -38,7 +38,7 @@ _PLACES = 8  # of a mode between two of few points, and half-widths in bins ther
 _DECAYS = (0.01, 0.1, 0.5, 1.5)
 
 
-Left = list[ComplexArray]  # what a model leaves of the outputs (q, K) of each row of data, in the frequency domain
+Residuals = list[ComplexArray]  # of the outputs (q, K) of each set of rows, in the frequency domain
 
 
 @dataclass(frozen=True)
@@ -56,17 +56,17 @@ class NoiseOrders:
 
 @dataclass(frozen=True, eq=False)
 class FreeModel:
-    """Damped modes and what they leave, the losses of outputs in the units of the data."""
+    """Damped modes with their residuals, and the sum of squares of each output in the units of the data."""
 
-    at: FreeProjection
-    left: Left
+    projection: FreeProjection
+    residuals: Residuals
     losses: Array
     search: FreeSearch | None = None  # in whose rows these are
 
     @cached_property
     def noise(self) -> list[NoiseOrders]:
-        """Autoregressions of what is left of each output."""
-        return [] if self.search is None else self.search.noise(self.left)
+        """Autoregressions of the residuals of each output."""
+        return [] if self.search is None else self.search.noise(self.residuals)
 
     @property
     def innovations(self) -> tuple[Array, ...]:
@@ -76,7 +76,7 @@ class FreeModel:
     @property
     def p(self) -> ComplexArray:
         """Poles."""
-        return self.at.p
+        return self.projection.p
 
     @property
     def loss(self) -> float:
@@ -86,7 +86,7 @@ class FreeModel:
 
 @dataclass(frozen=True)
 class FreeSearch:
-    """Data, and where poles are looked for in them; whether modes may become overdamped, and lags a mode."""
+    """Data, and where poles are looked for in them; whether a mode may become overdamped, and two real poles a mode."""
 
     data: Sequence[Any]
     kinds_may_change: bool = True
@@ -94,20 +94,20 @@ class FreeSearch:
     @property
     def region(self) -> PoleRegion:
         """Where poles are looked for."""
-        ends = min(one.bin for one in self.data), max(one.ceiling for one in self.data)
+        ends = min(rows.bin for rows in self.data), max(rows.ceiling for rows in self.data)
         return PoleRegion(*ends, self.kinds_may_change)
 
     @property
     def crowding(self) -> float:
-        """Distance within which a mode, half-widths apart, only mends the shape of another."""
+        """Distance of the peaks of two modes, beyond their half-widths, within which one only corrects the other."""
         return TUNING.damped_apart * self.region.bin
 
     def unknowns(self, modes: int, real_poles: int = 0) -> int:
         """Parameters of a model: poles, residues and what is fed through of each output, nuisance parameters."""
         n, states = modes + real_poles, 2 * modes + real_poles
-        outputs = np.unique(np.concatenate([one.outputs for one in self.data]))
-        own = sum((one.own_unknowns(n) - real_poles * one.moving) * len(one.outputs) for one in self.data)
-        driven, fed = max(one.inputs for one in self.data), any(one.through for one in self.data)
+        outputs = np.unique(np.concatenate([rows.outputs for rows in self.data]))
+        own = sum((rows.own_unknowns(n) - real_poles * rows.moving) * len(rows.outputs) for rows in self.data)
+        driven, fed = max(rows.inputs for rows in self.data), any(rows.through for rows in self.data)
         return states + len(outputs) * driven * (states + fed) + own
 
     def unknowns_of(self, p: ComplexArray) -> int:
@@ -120,18 +120,20 @@ class FreeSearch:
         return replace(self, kinds_may_change=changing and self.shows_background(2))
 
     def shows_background(self, n: int) -> bool:
-        """Whether what other modes leave of the data is not left to n poles."""
+        """Whether the data tell n poles from the background that modes outside the band leave."""
         return True
 
-    def lag(self, at: FreeProjection) -> tuple[complex, float]:
-        """The real pole that explains most of what a model leaves, and how much."""
+    def lag(self, projection: FreeProjection) -> tuple[complex, float]:
+        """The real pole that explains most of the residuals of a model, and how much."""
         rates = np.geomspace(_SLOWEST * self.region.bin, _FASTEST * self.region.ceiling, _RATES)
-        gains = np.sum([explained_by_lags(rows, at.p, rates) for rows in self.spread(at.experiments)], axis=0)
+        gains = np.sum(
+            [explained_by_lags(rows, projection.p, rates) for rows in self.spread(projection.experiments)], axis=0
+        )
         best = int(np.argmax(gains))
         return complex(-rates[best]), float(gains[best])
 
     def spread(self, rows: Sequence[FreeRows]) -> Sequence[FreeRows]:
-        """Rows, or as many of them all over as show what has no peak."""
+        """The rows, or as many spread over the band as show what has no peak."""
         return rows
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
@@ -139,14 +141,14 @@ class FreeSearch:
         return self.data
 
     def scaled(self, sizes: Array) -> FreeSearch:
-        """The same with outputs (q,) so many times as large."""
+        """The same with each output multiplied by its entry of `sizes` (q,)."""
         raise NotImplementedError
 
-    def left(self, at: FreeProjection) -> Left:
-        """What a model leaves."""
+    def residuals(self, projection: FreeProjection) -> Residuals:
+        """Residuals of a model."""
         raise NotImplementedError
 
-    def losses(self, left: Left) -> Array:
+    def losses(self, residuals: Residuals) -> Array:
         """Sum of squares of each output."""
         raise NotImplementedError
 
@@ -154,23 +156,23 @@ class FreeSearch:
         """Poles of modes that explain most of what a model leaves, the strongest first, and how much."""
         raise NotImplementedError
 
-    def model(self, at: FreeProjection) -> FreeModel:
-        """Modes with what they leave."""
-        left = self.left(at)
-        return FreeModel(at, left, self.losses(left), self)
+    def model(self, projection: FreeProjection) -> FreeModel:
+        """A model with its residuals."""
+        residuals = self.residuals(projection)
+        return FreeModel(projection, residuals, self.losses(residuals), self)
 
-    def noise(self, left: Left) -> list[NoiseOrders]:
-        """Autoregressions of what is left of each output; none where that is no record."""
+    def noise(self, residuals: Residuals) -> list[NoiseOrders]:
+        """Autoregressions of the residuals of each output; none where these are no records."""
         return []
 
 
 def explained_by_lags(rows: FreeRows, p: ComplexArray, rates: Array) -> Array:
-    """How much of what poles leave each of some further real poles explains."""
+    """Decrease of the sum of squares by each of some real poles, added to the poles of a model."""
     blocks = list(rows.at(p).blocks())
     known = np.concatenate(blocks, axis=1)
     own = rows.own_unknowns(len(p)) + rows.inputs * (2 * len(p) + rows.through)
     basis, _ = orthogonal(known[:own].T)
-    left = without(known[-len(rows.outputs) :].T, basis)
+    residuals = without(known[-len(rows.outputs) :].T, basis)
     k = len(rates)
     columns = np.concatenate(list(rows.at((-rates).astype(complex)).blocks()), axis=1)
     starts = ([0] if rows.moving else []) + [
@@ -179,7 +181,7 @@ def explained_by_lags(rows: FreeRows, p: ComplexArray, rates: Array) -> Array:
     gains = np.zeros(k)
     for place in range(k):
         some, _ = orthogonal(without(columns[[start + place for start in starts]].T, basis))
-        gains[place] = np.sum((some.T @ left) ** 2)
+        gains[place] = np.sum((some.T @ residuals) ** 2)
     return gains
 
 
@@ -193,32 +195,34 @@ class Records(FreeSearch):
     @cached_property
     def spectra(self) -> list[ChannelSpectra]:
         """Transforms of all records."""
-        return [ChannelSpectra.of(one) for one in self.data]
+        return [ChannelSpectra.of(record) for record in self.data]
 
     @cached_property
     def windowed(self) -> bool:
-        """Whether `rows` are a part of all."""
-        return max(one.length for one in self.data) > TUNING.in_time and all(one.whole for one in self.data)
+        """Whether `rows` gives the bins about the modes only, as of long records."""
+        return max(record.length for record in self.data) > TUNING.in_time and all(record.whole for record in self.data)
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """The bins about the modes of long records."""
-        return [FreeWindow.thinned(one, p) for one in self.spectra] if self.windowed else self.data
+        return [FreeWindow.thinned(spectrum, p) for spectrum in self.spectra] if self.windowed else self.data
 
     def held(self, intersample: str) -> Records:
         """The same with inputs held otherwise between the samples."""
-        return replace(self, data=[one.held(intersample) for one in self.data])
+        return replace(self, data=[record.held(intersample) for record in self.data])
 
     def whitened(self, innovations: tuple[Array, ...]) -> Records:
         """Records in time made to rows in which noise with these innovations filters is white."""
-        rows = [row for one in self.data for row in one.filtered(innovations)]
+        rows = [row for record in self.data for row in record.filtered(innovations)]
         return replace(self, data=rows, innovations=innovations)
 
-    def noise(self, left: Left) -> list[NoiseOrders]:
-        """Autoregressions of the noise of each output in the data, by what is left of it in the rows."""
-        found = []
-        for output in range(1 + max(int(one.outputs.max()) for one in self.data)):
-            pairs = zip(self.data, left, strict=True)
-            seen = [(one.length, part[one.outputs == output]) for one, part in pairs if output in one.outputs]
+    def noise(self, residuals: Residuals) -> list[NoiseOrders]:
+        """Autoregressions of the noise of each output in the data, from the residuals of the rows."""
+        orders = []
+        for output in range(1 + max(int(record.outputs.max()) for record in self.data)):
+            pairs = zip(self.data, residuals, strict=True)
+            seen = [
+                (record.length, part[record.outputs == output]) for record, part in pairs if output in record.outputs
+            ]
             lengths = [length for length, _ in seen]
             rows = correlations([part[0] for _, part in seen], lengths)
             sums = rows
@@ -226,64 +230,64 @@ class Records(FreeSearch):
                 sums = correlations([part[0] / np.fft.rfft(b, length) for length, part in seen], lengths)
             models, variances = autoregression(sums, min(lengths))
             share = sums[0] / rows[0] if rows[0] > 0 else 1.0
-            found.append(NoiseOrders(models, variances * share))
-        return found
+            orders.append(NoiseOrders(models, variances * share))
+        return orders
 
     def without_constants(self) -> Records:
         """The same with outputs that have no constant."""
         return replace(self, data=[replace(rows, offset=0) for rows in self.data])
 
     def scaled(self, sizes: Array) -> Records:
-        """The same with outputs (q,) so many times as large."""
-        records = [replace(one, scale=sizes[one.outputs]) for one in self.data]
-        found = replace(self, data=records)
+        """The same with each output multiplied by its entry of `sizes` (q,)."""
+        records = [replace(record, scale=sizes[record.outputs]) for record in self.data]
+        search = replace(self, data=records)
         if "spectra" in vars(self):  # of a long record none is ever made
             pairs = zip(self.spectra, records, strict=True)
-            vars(found)["spectra"] = [one.scaled(record, sizes[record.outputs]) for one, record in pairs]
-        return found
+            vars(search)["spectra"] = [spectrum.scaled(record, sizes[record.outputs]) for spectrum, record in pairs]
+        return search
 
-    def left(self, at: FreeProjection) -> Left:
-        """Transforms of what a model leaves; 0 where an output is missing, or an offset explains it."""
-        found, windowed = [], isinstance(at.experiments[0], FreeWindow)
-        n, predicted = len(at.p), [] if windowed or not len(at.p) else at.predictions()
-        for k, (one, own) in enumerate(zip(self.spectra, at.own, strict=True)):
-            record = one.record
+    def residuals(self, projection: FreeProjection) -> Residuals:
+        """Transforms of the residuals; 0 of missing samples, and at frequency 0 where an offset is estimated."""
+        residuals, windowed = [], isinstance(projection.experiments[0], FreeWindow)
+        n, predicted = len(projection.p), [] if windowed or not len(projection.p) else projection.predictions()
+        for k, (spectrum, own) in enumerate(zip(self.spectra, projection.own, strict=True)):
+            record = spectrum.record
             if not n:
-                left = one.Y.copy()
+                residual = spectrum.Y.copy()
             elif windowed:
                 motion, outputs = own[:n] + 1j * own[n : 2 * n], record.outputs
-                residues = at.residues[:, outputs][:, :, record.acting]
-                through = at.feedthrough[np.ix_(outputs, record.acting)]
-                left = one.unexplained(at.p, residues, motion, through)
+                residues = projection.residues[:, outputs][:, :, record.acting]
+                through = projection.feedthrough[np.ix_(outputs, record.acting)]
+                residual = spectrum.unexplained(projection.p, residues, motion, through)
             else:
-                left = np.fft.rfft(np.where(record.observed, record.measured - predicted[k], 0.0))
+                residual = np.fft.rfft(np.where(record.observed, record.measured - predicted[k], 0.0))
             if record.offset:
-                left[:, 0] = 0.0
-            found.append(left)
-        return found
+                residual[:, 0] = 0.0
+            residuals.append(residual)
+        return residuals
 
-    def losses(self, left: Left) -> Array:
+    def losses(self, residuals: Residuals) -> Array:
         """Sum of squares over the observed samples of each output."""
-        found = np.zeros(1 + max(int(one.outputs.max()) for one in self.data))
-        for part, spectrum in zip(left, self.spectra, strict=True):
-            found[spectrum.record.outputs] += spectrum.energies(part)
-        return found
+        sums = np.zeros(1 + max(int(record.outputs.max()) for record in self.data))
+        for part, spectrum in zip(residuals, self.spectra, strict=True):
+            sums[spectrum.record.outputs] += spectrum.energies(part)
+        return sums
 
     def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
         """Of windows of all widths, the poles that explain most."""
         joined: list[tuple[ChannelSpectra, list[ComplexArray]]] = []
-        for spectrum, part in zip(self.spectra, model.left, strict=True):
+        for spectrum, part in zip(self.spectra, model.residuals, strict=True):
             if joined and joined[-1][0].record.u is spectrum.record.u:  # outputs of one experiment
                 joined[-1][1].append(part)
             else:
                 joined.append((spectrum, [part]))
-        found = [Channels.of(spectrum).modes(np.concatenate(parts)) for spectrum, parts in joined]
-        return strongest(found, self.region.bin)
+        candidates = [Channels.of(spectrum).modes(np.concatenate(parts)) for spectrum, parts in joined]
+        return strongest(candidates, self.region.bin)
 
 
-def strongest(found: Sequence[tuple[ComplexArray, Array]], width: float) -> tuple[ComplexArray, Array]:
+def strongest(candidates: Sequence[tuple[ComplexArray, Array]], width: float) -> tuple[ComplexArray, Array]:
     """Poles, the strongest first, without those that lie within the peaks of stronger ones."""
-    p, gain = _joined(found)
+    p, gain = _joined(candidates)
     chosen: list[int] = []
     for k in np.argsort(-gain, kind="stable"):
         apart = width + np.abs(p[k].real)
@@ -308,7 +312,7 @@ class Channels:
         """Those of a record."""
         return cls(spectrum.U, spectrum.length, spectrum.hold, spectrum.record.ceiling)
 
-    def modes(self, left: ComplexArray) -> tuple[ComplexArray, Array]:
+    def modes(self, residuals: ComplexArray) -> tuple[ComplexArray, Array]:
         """Poles of modes that explain something of what is left of outputs (q, K), and how much; O(q T).
 
         Each within a window, in windows of several widths everywhere; bins of any decay in records too short for one.
@@ -316,17 +320,17 @@ class Channels:
         if (self._last - 1) // 2 < _LEAST:
             bins = np.arange(1, self._last + 1)
             p = np.asarray(np.nan + 2j * np.pi / (self.length * self.hold.h) * bins, complex)
-            return p, np.asarray(2.0 / self.length * np.sum(np.abs(left[:, bins]) ** 2, axis=0))
-        return _joined([self._local(left, half, centres) for half, centres in _windows(left, 1, self._last)])
+            return p, np.asarray(2.0 / self.length * np.sum(np.abs(residuals[:, bins]) ** 2, axis=0))
+        return _joined([self._local(residuals, half, centres) for half, centres in _windows(residuals, 1, self._last)])
 
-    def peak(self, left: ComplexArray, place: float) -> tuple[float, float]:
+    def peak(self, residuals: ComplexArray, place: float) -> tuple[float, float]:
         """Half-width of one mode within the narrowest window about a place (in bins), and its share of the power."""
         half = min(TUNING.widths_of_peaks[0], (self._last - 1) // 2)
         if half < _LEAST:
             return 0.0, 0.0
         centre = int(np.clip(np.rint(place), half + 1, self._last - half))
-        p, gain = self._local(left, half, np.array([centre]))
-        power = 2.0 / self.length * float(np.sum(np.abs(left[:, centre - half : centre + half + 1]) ** 2))
+        p, gain = self._local(residuals, half, np.array([centre]))
+        power = 2.0 / self.length * float(np.sum(np.abs(residuals[:, centre - half : centre + half + 1]) ** 2))
         return (float(-p[0].real), float(gain[0]) / power) if len(p) and power else (0.0, 0.0)
 
     @property
@@ -334,12 +338,12 @@ class Channels:
         """Last bin below the Nyquist frequency."""
         return (self.length - 1) // 2
 
-    def _local(self, left: ComplexArray, half: int, centres: Indices) -> tuple[ComplexArray, Array]:
+    def _local(self, residuals: ComplexArray, half: int, centres: Indices) -> tuple[ComplexArray, Array]:
         """One mode in each window, frequencies in bins from its centre."""
         T = self.length
         turn = np.expm1(2j * np.pi / T * np.arange(-half, half + 1))
         place = centres[:, None] + np.arange(-half, half + 1)
-        E, U = (np.ascontiguousarray(np.moveaxis(rows[:, place], 0, 1)) for rows in (left, self.U))
+        E, U = (np.ascontiguousarray(np.moveaxis(rows[:, place], 0, 1)) for rows in (residuals, self.U))
         # a smooth input is told from the ends by what it is beside a constant
         size = np.linalg.norm(U, axis=2, keepdims=True)
         ends = np.broadcast_to(1.0 + turn, (len(place), 1, turn.size))
@@ -375,7 +379,7 @@ def local_modes(E: ComplexArray, inputs: ComplexArray, s: ComplexArray, half: Ar
     return pole, np.sum(products.conj() * solved, axis=(1, 2)).real
 
 
-def _windows(left: ComplexArray, first: int, count: int) -> Iterator[tuple[int, Indices]]:
+def _windows(residuals: ComplexArray, first: int, count: int) -> Iterator[tuple[int, Indices]]:
     """Half-widths and centres of windows of several widths among so many columns of what is left, some at a time."""
     for half in TUNING.widths_of_peaks:
         if 4 * half > count and half > TUNING.widths_of_peaks[0]:
@@ -385,8 +389,8 @@ def _windows(left: ComplexArray, first: int, count: int) -> Iterator[tuple[int, 
             return
         centres = first + np.arange(half, count - half, max(1, half // 6))
         if count > _EVERYWHERE:
-            centres = _peaking(left, half, centres)
-        size = max(1, TUNING.piece // (len(left) * (2 * half + 1)))
+            centres = _peaking(residuals, half, centres)
+        size = max(1, TUNING.piece // (len(residuals) * (2 * half + 1)))
         for k in range(0, len(centres), size):
             yield half, centres[k : k + size]
 
@@ -398,16 +402,16 @@ def highest_peaks(values: Array, most: int) -> Indices:
     return peaks[np.argsort(-values[peaks], kind="stable")[:most]]
 
 
-def _joined(found: Sequence[tuple[ComplexArray, Array]]) -> tuple[ComplexArray, Array]:
+def _joined(candidates: Sequence[tuple[ComplexArray, Array]]) -> tuple[ComplexArray, Array]:
     """Poles and gains of several windows."""
-    p, gain = (np.concatenate(parts) for parts in zip((np.zeros(0, complex), np.zeros(0)), *found, strict=True))
+    p, gain = (np.concatenate(parts) for parts in zip((np.zeros(0, complex), np.zeros(0)), *candidates, strict=True))
     return p, gain
 
 
-def _peaking(left: ComplexArray, half: int, centres: Indices) -> Indices:
+def _peaking(residuals: ComplexArray, half: int, centres: Indices) -> Indices:
     """Centres about which most is left."""
     width = max(1, half // 3)
-    total = np.concatenate([[0.0], np.cumsum(np.sum(np.abs(left) ** 2, axis=0))])
+    total = np.concatenate([[0.0], np.cumsum(np.sum(np.abs(residuals) ** 2, axis=0))])
     power = total[centres + width] - total[centres - width]
     about = highest_peaks(power, _PEAKS)[:, None] + np.arange(-1, 2)
     return centres[np.unique(np.clip(about, 0, len(centres) - 1))]
@@ -435,60 +439,67 @@ class Responses(FreeSearch):
 
     def shows_background(self, n: int) -> bool:
         """Whether points abound: of few of them a real pole may stand for modes outside the band."""
-        return all(len(one.omega) >= _ABOUNDING + 4 * n for one in self.data)
+        return all(len(rows.omega) >= _ABOUNDING + 4 * n for rows in self.data)
 
     @property
     def terms(self) -> list[Term]:
         """Terms of the background of any entry."""
-        return sorted({term for one in self.data for term in one.terms})
+        return sorted({term for rows in self.data for term in rows.terms})
 
     def without_term(self, term: Term) -> Responses:
         """The same beside a background that lacks a term."""
-        return replace(self, data=[replace(one, terms=tuple(t for t in one.terms if t != term)) for one in self.data])
+        return replace(
+            self, data=[replace(rows, terms=tuple(t for t in rows.terms if t != term)) for rows in self.data]
+        )
 
     def with_term(self, term: Term) -> Responses:
         """The same beside a background with one more term."""
-        return replace(self, data=[one.with_term(term) for one in self.data])
+        return replace(self, data=[rows.with_term(term) for rows in self.data])
 
     def spread(self, rows: Sequence[FreeRows]) -> Sequence[FreeRows]:
         """A part of the points where there are many."""
-        return [one.spread(_EVERYWHERE // 2) if len(one.omega) > _EVERYWHERE else one for one in self.data]
+        return [
+            response.spread(_EVERYWHERE // 2) if len(response.omega) > _EVERYWHERE else response
+            for response in self.data
+        ]
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """The points about the modes where there are many."""
-        return [one.thinned(p) if len(one.omega) > _EVERYWHERE else one for one in self.data]
+        return [rows.thinned(p) if len(rows.omega) > _EVERYWHERE else rows for rows in self.data]
 
-    def model(self, at: FreeProjection) -> FreeModel:
-        """Modes with what they leave; residues and backgrounds are those of all points."""
-        whole = sum(one.samples * len(one.outputs) for one in self.data) == at.rows
-        return super().model(at if whole else FreeProjection(self.data, at.p, at.fed))
+    def model(self, projection: FreeProjection) -> FreeModel:
+        """A model with its residuals; residues and backgrounds are those of all points."""
+        whole = sum(rows.samples * len(rows.outputs) for rows in self.data) == projection.rows
+        return super().model(projection if whole else FreeProjection(self.data, projection.p, projection.fed))
 
     def scaled(self, sizes: Array) -> Responses:
-        """The same with entries (q,) so many times as large."""
-        return replace(self, data=[replace(one, response=one.response * sizes[one.outputs, None]) for one in self.data])
+        """The same with each entry multiplied by its element of `sizes` (q,)."""
+        return replace(
+            self, data=[replace(rows, response=rows.response * sizes[rows.outputs, None]) for rows in self.data]
+        )
 
-    def left(self, at: FreeProjection) -> Left:
-        """What a model leaves, in the scale of the weights."""
-        pairs = zip(self.data, at.own, strict=True)
-        found = []
+    def residuals(self, projection: FreeProjection) -> Residuals:
+        """Weighted residuals of a model."""
+        pairs = zip(self.data, projection.own, strict=True)
+        residuals = []
         for rows, own in pairs:
-            shared = at.shared[: 2 * len(at.p) + rows.through, rows.outputs]
-            found.append(rows.target - np.concatenate([own, shared]).T @ rows.columns(at.p))
-        return found
+            shared = projection.shared[: 2 * len(projection.p) + rows.through, rows.outputs]
+            residuals.append(rows.target - np.concatenate([own, shared]).T @ rows.columns(projection.p))
+        return residuals
 
-    def losses(self, left: Left) -> Array:
+    def losses(self, residuals: Residuals) -> Array:
         """Weighted sum of squares of each entry."""
-        found = np.zeros(1 + max(int(one.outputs.max()) for one in self.data))
-        for part, rows in zip(left, self.data, strict=True):
-            found[rows.outputs] += np.sum(np.abs(part) ** 2, axis=1)
-        return found
+        sums = np.zeros(1 + max(int(rows.outputs.max()) for rows in self.data))
+        for part, rows in zip(residuals, self.data, strict=True):
+            sums[rows.outputs] += np.sum(np.abs(part) ** 2, axis=1)
+        return sums
 
     def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
         """Of windows of several widths, or of many places among few points, the poles that explain most."""
-        if self.classical or all(len(one.frequencies) <= 2 * _LEAST for one in self.data):
+        if self.classical or all(len(rows.frequencies) <= 2 * _LEAST for rows in self.data):
             return self._scanned(model.p)
         joined: list[tuple[Array, list[ComplexArray], list[Array]]] = []
-        for rows, part in zip(self.data, model.left, strict=True):
+        for rows, part in zip(self.data, model.residuals, strict=True):
             everywhere = np.zeros((len(part), len(rows.frequencies)), complex)
             everywhere[:, rows.observed] = part / rows.weight
             weights = np.where(rows.observed, rows.scale, 0.0)[None].repeat(len(part), axis=0)
@@ -497,9 +508,9 @@ class Responses(FreeSearch):
                 joined[-1][2].append(weights)
             else:
                 joined.append((rows.frequencies, [everywhere], [weights]))
-        found = [_modes_of_lines(omega, np.concatenate(parts), np.concatenate(weights).mean(axis=0))
-                 for omega, parts, weights in joined]  # fmt: skip
-        return strongest(found, self.region.bin)
+        candidates = [_modes_of_lines(omega, np.concatenate(parts), np.concatenate(weights).mean(axis=0))
+                      for omega, parts, weights in joined]  # fmt: skip
+        return strongest(candidates, self.region.bin)
 
     @property
     def classical(self) -> bool:
@@ -508,17 +519,17 @@ class Responses(FreeSearch):
 
     @property
     def crowding(self) -> float:
-        """Distance within which a mode, half-widths apart, only mends the shape of another."""
+        """Distance of the peaks of two modes, beyond their half-widths, within which one only corrects the other."""
         return self.region.bin if self.classical else super().crowding
 
     def unknowns(self, modes: int, real_poles: int = 0) -> int:
         """Parameters of a model; of modes with real shapes one number for each entry."""
-        entries = sum(len(one.outputs) for one in self.data)
+        entries = sum(len(rows.outputs) for rows in self.data)
         return super().unknowns(modes, real_poles) - self.classical * modes * entries
 
     def _scanned(self, p: ComplexArray) -> tuple[ComplexArray, Array]:
         """Poles between all points that explain most of what modes leave; of sensors of any kind, as a velocity."""
-        omega = np.unique(np.concatenate([one.omega for one in self.data]))
+        omega = np.unique(np.concatenate([rows.omega for rows in self.data]))
         places = np.arange(_PLACES * (len(omega) - 1) + 1) / _PLACES
         rates = self.region.bin * np.array(_DECAYS)
         tried = (np.interp(places, np.arange(len(omega)), omega)[:, None] * 1j - rates).ravel()
@@ -535,17 +546,17 @@ class Responses(FreeSearch):
         return strongest([(tried, gains)], self.region.bin)
 
 
-def _modes_of_lines(omega: Array, left: ComplexArray, weight: Array) -> tuple[ComplexArray, Array]:
+def _modes_of_lines(omega: Array, residuals: ComplexArray, weight: Array) -> tuple[ComplexArray, Array]:
     """Poles of modes that explain something of what is left of responses (q, K), and how much.
 
     Each beside a straight line, within a window of so many points, which need not be equidistant.
     """
-    windows = _windows(left * weight, 0, len(omega))
-    return _joined([_local_lines(omega, left, weight, half, centres) for half, centres in windows])
+    windows = _windows(residuals * weight, 0, len(omega))
+    return _joined([_local_lines(omega, residuals, weight, half, centres) for half, centres in windows])
 
 
 def _local_lines(
-    omega: Array, left: ComplexArray, weight: Array, half: int, centres: Indices
+    omega: Array, residuals: ComplexArray, weight: Array, half: int, centres: Indices
 ) -> tuple[ComplexArray, Array]:
     place = centres[:, None] + np.arange(-half, half + 1)
     apart = omega[place] - omega[centres, None]
@@ -553,7 +564,7 @@ def _local_lines(
     unit = span / (2 * half)
     s = 1j * apart / unit[:, None]
     share = weight[place][:, None]
-    E = np.ascontiguousarray(np.moveaxis(left[:, place], 0, 1)) * share
+    E = np.ascontiguousarray(np.moveaxis(residuals[:, place], 0, 1)) * share
     inputs = np.stack([np.ones(place.shape, complex), s / half], axis=1) * share
     # the pole may lie anywhere between the ends, which unequal distances put elsewhere than half the span away
     pole, gain = local_modes(E, inputs, s, np.minimum(-apart[:, 0], apart[:, -1]) / unit)

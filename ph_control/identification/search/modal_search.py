@@ -877,7 +877,7 @@ def orders_about(
         while model is not None:
             modes = model.p.imag > 0
             if modes.any():
-                found.append((model.p[modes], path.residues(model.at, channels)[modes]))
+                found.append((model.p[modes], path.residues(model.projection, channels)[modes]))
             model = path.with_modes(model, _modes(model.p) + 1, False) if _modes(model.p) < end else None
     return found
 
@@ -1311,7 +1311,7 @@ class FreePath:
             return None
         if not given and not self.search.shows_background(len(model.p) + 1):
             return None
-        pole, gain = self.scaled.lag(model.at)
+        pole, gain = self.scaled.lag(model.projection)
         p = np.append(model.p, pole)
         if self.search.unknowns_of(p) >= self.counts.sum() or self.is_exact(model):
             return None
@@ -1340,11 +1340,11 @@ class FreePath:
         if not len(p) or (automatic and not gains.any()):
             return None
         band = self.search.region.bin
-        whole = _together(model.at, p, gains, band, most - _modes(model.p))
+        whole = _together(model.projection, p, gains, band, most - _modes(model.p))
         modal = (gains > 0) & (np.nan_to_num(np.abs(p.real)) <= TUNING.broadest * np.abs(p.imag))
-        alone = automatic and len(self.counts) * max(1, model.at.inputs) == 1
+        alone = automatic and len(self.counts) * max(1, model.projection.inputs) == 1
         if alone:
-            needed = self.search.crowding + np.abs(model.at.sigma)
+            needed = self.search.crowding + np.abs(model.projection.sigma)
             modal &= np.all(np.abs(p.imag[:, None] - model.p.imag) > needed, axis=1)
         sure = p[modal]
         # beside modes of one channel that are still wrong, others that stand out may be no more than their shadows
@@ -1388,12 +1388,12 @@ class FreePath:
         if not len(model.p) or self.is_exact(model):
             return True
         broad = int(np.sum(_broad(model.p))) > lags
-        return not patching(model.at, self.search.crowding) and not broad and not self.grows(model)
+        return not patching(model.projection, self.search.crowding) and not broad and not self.grows(model)
 
     def cleaned(self, model: FreeModel, lags: int = 0) -> FreeModel:
         """A model without its modes that are none of the plant."""
         while len(model.p) and not self.is_sound(model, lags):
-            at = model.at
+            at = model.projection
             # what several channels see of a pair changes as others go
             alone = len(self.counts) * max(1, at.inputs) == 1
             worst = patching(at, self.search.crowding)[: None if alone else 1]
@@ -1413,7 +1413,7 @@ class FreePath:
 
     def grows(self, model: FreeModel) -> bool:
         """Whether there are such modes."""
-        return bool(self.growing(model.at, lambda: self.evidence(model)).any())
+        return bool(self.growing(model.projection, lambda: self.evidence(model)).any())
 
     def is_white(self, model: FreeModel) -> bool:
         """Whether what is left of each output may be white noise."""
@@ -1421,10 +1421,10 @@ class FreePath:
         for output in range(len(self.counts)):
             parts: list[Array] = []
             if isinstance(self.search, Records):
-                for one, left in zip(self.search.data, model.left, strict=True):
+                for one, left in zip(self.search.data, model.residuals, strict=True):
                     parts += [np.fft.irfft(row, one.length) for row in left[one.outputs == output]]
             else:
-                for rows, left in zip(self.search.data, model.left, strict=True):
+                for rows, left in zip(self.search.data, model.residuals, strict=True):
                     parts += [part for row in left[rows.outputs == output] for part in (row.real, row.imag)]
             found.append(ljung_box(parts, TUNING.lags))
         return min(found) * len(found) >= TUNING.white
@@ -1459,9 +1459,9 @@ class FreePath:
 
     def vagueness(self, model: FreeModel) -> Array:
         """Errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background."""
-        allowed = TUNING.vague * np.maximum(np.abs(model.at.sigma), self.search.region.bin)
+        allowed = TUNING.vague * np.maximum(np.abs(model.projection.sigma), self.search.region.bin)
         lag = (model.p.imag == 0) | (_broad(model.p) & self.search.kinds_may_change)
-        return np.where(lag, 0.0, self.decay_errors(model.at) / allowed)
+        return np.where(lag, 0.0, self.decay_errors(model.projection) / allowed)
 
     def pruned(self, model: FreeModel) -> FreeModel:
         """Modes dropped as long as the criterion gets better, or their widths are not known."""
@@ -1534,7 +1534,7 @@ class FreePath:
         self, fit: FreeFit, model: FreeModel, plain: Records, channels: Sequence[Any], automatic: bool
     ) -> FreeFit:
         """A fit refined with the inputs held otherwise."""
-        kept = replace(model, at=fit.projection)
+        kept = replace(model, projection=fit.projection)
         other = plain.held("foh" if fit.intersample == "zoh" else "zoh")
         path = FreePath(other, self.felt, self.criterion, self.reports, kept, self.real_poles, fit.noise)
         return replace(path.finished(kept, channels, automatic), order_table=fit.order_table)
@@ -1588,7 +1588,7 @@ class FreePath:
         path = FreePath(search, self.felt, self.criterion, self.reports, None, self.real_poles)
         path.weigh(self.best.losses)
         model = path.model(modes, TUNING.rough)
-        at, _ = path.on_simplest_background(model.at, model.losses, None, True)
+        at, _ = path.on_simplest_background(model.projection, model.losses, None, True)
         limit = self.cost(self.best) - 2 * TUNING.sure
         left = path.search.terms if isinstance(path.search, Responses) else []
         if not set(left) - set(self.search.terms) or path.cost(path.judged(at)) > limit:

@@ -79,7 +79,7 @@ def entry_laws(at: FreeProjection) -> tuple[list[tuple[NoiseLaw, float]], bool]:
     steps = [1 + len(one.omega) // _MANY for one in every]
     search = Responses([one.every(step) for one, step in zip(every, steps, strict=True)])
     parts: list[list[_Points]] = [[] for _ in range(at.shared.shape[1])]
-    for rows, left, step in zip(search.data, search.left(at), steps, strict=True):
+    for rows, left, step in zip(search.data, search.residuals(at), steps, strict=True):
         q, slopes = len(rows.outputs), 2 * len(at.p)
         columns = next(rows.at(at.p).blocks())[:-q]
         # poles are fitted to all entries, of which each feels its share
