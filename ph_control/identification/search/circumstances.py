@@ -125,19 +125,19 @@ def foretold(products: Array) -> tuple[list[Array], Array]:
 
     By Levinson's and Durbin's recursion.
     """
-    phi, left = np.zeros(0), 1.0
-    models, variances = [phi], [left]
+    phi, variance = np.zeros(0), 1.0
+    models, variances = [phi], [variance]
     if products[0] <= 0:
         return models, np.ones(1)
     r = products / products[0]
     for order in range(1, len(r)):
-        reflection = (r[order] - phi @ r[order - 1 : 0 : -1]) / left
+        reflection = (r[order] - phi @ r[order - 1 : 0 : -1]) / variance
         phi = np.append(phi - reflection * phi[::-1], reflection)
-        left *= 1 - reflection**2
-        if not left > 0:
+        variance *= 1 - reflection**2
+        if not variance > 0:
             break
         models.append(phi)
-        variances.append(left)
+        variances.append(variance)
     return models, np.array(variances)
 
 
@@ -149,25 +149,25 @@ def _oscillates(phi: Array, samples: int) -> bool:
 
 
 def likeliest_ratio(unlikely: Callable[[float], float], gains: Array) -> tuple[float, float]:
-    """The ratio of input to output noise of least negative log-likelihood, 0 where none is likelier, and that."""
+    """The ratio of input to output noise of least negative log-likelihood, 0 where none is likelier, and this."""
     ratios = _RATIOS / float(np.median(gains))
     none, tried = unlikely(0.0), [unlikely(ratio) for ratio in ratios]
     best = int(np.argmin(tried))
     if tried[best] >= none:
         return 0.0, none
     ends = np.log(ratios[[max(0, best - 1), min(len(ratios) - 1, best + 1)]])
-    found = minimize_scalar(lambda x: unlikely(np.exp(x)), bounds=ends, method="bounded", options={"xatol": 0.05})
-    return float(np.exp(found.x)), float(found.fun)
+    minimum = minimize_scalar(lambda x: unlikely(np.exp(x)), bounds=ends, method="bounded", options={"xatol": 0.05})
+    return float(np.exp(minimum.x)), float(minimum.fun)
 
 
 def sampled_response(step: SampledModes, residues: NDArray[Any], through: float, phase: Array) -> ComplexArray:
     """Frequency response from sample to sample of modes with residues (n,), at some phases per step."""
-    z, found = np.exp(1j * phase), np.full(len(phase), through, complex)
+    z, response = np.exp(1j * phase), np.full(len(phase), through, complex)
     for w, lam, b0, b1 in zip(residues, step.multiplier, step.b0, step.b1, strict=True):
         gain, mirrored = w * (b0 + b1 * z), np.conj(w) * (np.conj(b0) + np.conj(b1) * z)
         ahead = np.where(z == lam, EPS, z - lam)
-        found += gain / ahead + mirrored / (z - np.conj(lam))
-    return found
+        response += gain / ahead + mirrored / (z - np.conj(lam))
+    return response
 
 
 # --- in words --------------------------------------------------------------------------------------------------------

@@ -20,14 +20,14 @@ Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
 
 
 def foretelling_order(
-    channels: Experiments, start: ComplexArray, most: int, posed: Callable[[Experiments], Any]
+    channels: Experiments, start: ComplexArray, most: int, path_for: Callable[[Experiments], Any]
 ) -> int:
-    """Return the order of the least error over what is held out, all outputs together; `posed` makes a search."""
+    """Return the order of the least error over what is held out, all outputs together; `path_for` starts a search."""
 
     def searched(path: Any) -> None:
         path.chosen(start, min(most, path.carried), True)
 
-    errors = errors_ahead(channels, posed, HELD_OUT, searched)
+    errors = errors_ahead(channels, path_for, HELD_OUT, searched)
     values = {}
     for n, (losses, counts) in errors.items():
         seen = counts > 0
@@ -41,12 +41,12 @@ def foretelling_order(
 
 
 def errors_ahead(
-    channels: Experiments, posed: Callable[[Experiments], Any], part: float, searched: Callable[[Any], None],
+    channels: Experiments, path_for: Callable[[Experiments], Any], part: float, searched: Callable[[Any], None],
     orders: Sequence[int] | None = None,
 ) -> dict[int, tuple[Array, Array]]:  # fmt: skip
     """Return squared errors of each output over what is held out, and their number, by order.
 
-    `posed` makes a search in channels, `searched` runs it through the orders, of which all count or some.
+    `path_for` starts a search in channels, `searched` runs it through the orders; of these all are judged, or `orders`.
     """
     ahead = [held_out(data.samples, part, isinstance(data, Recording)) for data in channels]
     # the search has only what comes before; its models are judged where the rest is missing
@@ -54,7 +54,7 @@ def errors_ahead(
         [_without(data, hidden, shorter) for data, hidden in zip(channels, ahead, strict=True)]
         for shorter in (True, False)
     )
-    path, judge = posed(rest), posed(gaps)
+    path, judge = path_for(rest), path_for(gaps)
     searched(path)
     return {
         n: _errors(judge, row.poles, channels, ahead)
@@ -70,28 +70,28 @@ def held_out(samples: int, part: float, in_time: bool) -> Mask:
     return np.asarray(np.diff(np.floor(part * np.arange(samples + 1) + 0.5)) > 0)
 
 
-def _without(one: Any, hidden: Mask, shorter: bool) -> Any:
+def _without(channel: Any, hidden: Mask, shorter: bool) -> Any:
     """An experiment whose outputs are missing at some samples; a recording ends before them if it may be shorter."""
-    if isinstance(one, ResponseMatrix):
-        return replace(one, response=np.where(hidden, np.nan, one.response))
+    if isinstance(channel, ResponseMatrix):
+        return replace(channel, response=np.where(hidden, np.nan, channel.response))
     if shorter:
-        return replace(one, time=one.time[~hidden], u=one.u[:, ~hidden], y=one.y[:, ~hidden])
-    return replace(one, y=np.where(hidden, np.nan, one.y))
+        return replace(channel, time=channel.time[~hidden], u=channel.u[:, ~hidden], y=channel.y[:, ~hidden])
+    return replace(channel, y=np.where(hidden, np.nan, channel.y))
 
 
 def _errors(path: Any, p: ComplexArray, channels: Experiments, ahead: Sequence[Mask]) -> tuple[Array, Array]:
     """Weighted squares of each output where it is held out, of modes refined over the rest, and their number."""
-    at = path.refined(path.reweighted(path.model(p)).p, 1e-13, None)
+    projection = path.refined(path.reweighted(path.model(p)).p, 1e-13, None)
     outputs, sizes = len(path.counts), path.sizes[:, None]
-    losses, counts, rows = np.zeros(outputs), np.zeros(outputs), iter(_foretold(at))
-    for one, hidden in zip(channels, ahead, strict=True):
-        data: Any = one
+    losses, counts, rows = np.zeros(outputs), np.zeros(outputs), iter(_foretold(projection))
+    for channel, hidden in zip(channels, ahead, strict=True):
+        data: Any = channel
         measured = data.y if isinstance(data, Recording) else data.response.reshape(outputs, -1)
         weights = np.reshape(getattr(data, "weights", np.ones(measured.shape)), measured.shape)
-        left = int(np.any(~np.isnan(measured) & ~hidden, axis=1).sum())
-        while left > 0:
+        remaining = int(np.any(~np.isnan(measured) & ~hidden, axis=1).sum())
+        while remaining > 0:
             which, values = next(rows)
-            left -= len(which)
+            remaining -= len(which)
             errors = measured[which] - values / sizes[which]
             seen = hidden & ~np.isnan(errors)
             losses[which] += np.sum(np.where(seen, weights[which] * np.abs(errors) ** 2, 0.0), axis=1)
@@ -99,19 +99,21 @@ def _errors(path: Any, p: ComplexArray, channels: Experiments, ahead: Sequence[M
     return losses, counts
 
 
-def _foretold(at: FreeProjection) -> list[tuple[Any, NDArray[Any]]]:
+def _foretold(projection: FreeProjection) -> list[tuple[Any, NDArray[Any]]]:
     """Outputs of each of the rows, and what they are at all samples, also where nothing was measured."""
-    n, found, predictions = len(at.p), [], list[Any](at.predictions())
-    for rows, own, values in zip(at.experiments, at.own, predictions, strict=True):
+    n, foretold, predictions = len(projection.p), [], list[Any](projection.predictions())
+    for rows, own, values in zip(projection.experiments, projection.own, predictions, strict=True):
         if isinstance(rows, FreeResponse):
             everywhere = replace(rows, observed=np.ones(len(rows.frequencies), bool))
-            weights = np.concatenate([own, at.shared[: 2 * n + rows.through, rows.outputs]])
+            weights = np.concatenate([own, projection.shared[: 2 * n + rows.through, rows.outputs]])
             # few points have no background
             values = (
-                weights.T @ (everywhere.columns(at.p) / everywhere.weight)[-len(weights) :] if len(weights) else 0.0
+                weights.T @ (everywhere.columns(projection.p) / everywhere.weight)[-len(weights) :]
+                if len(weights)
+                else 0.0
             )
             values = values * np.exp(-1j * rows.frequencies * (rows.delay or 0.0))
         elif isinstance(rows, FreeRecord):
             values = rows.placed(values)
-        found.append((rows.outputs, np.zeros((len(rows.outputs), 1)) if not np.size(values) else np.asarray(values)))
-    return found
+        foretold.append((rows.outputs, np.zeros((len(rows.outputs), 1)) if not np.size(values) else np.asarray(values)))
+    return foretold

@@ -38,7 +38,7 @@ from .response_noise import ROUNDS, SETTLED, NoiseLaw, balanced, entry_laws
 
 Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
 Place = tuple[int, int]  # an experiment and a line of it
-Reports = Callable[[int], Progress | None]  # what is told of the iterations of so many modes
+Reports = Callable[[int], Progress | None]  # what reports the iterations for a number of modes, if anything
 
 _STEPS = 15  # of a refinement on the way
 _ROUNDS = 6  # of fit and variances in turn
@@ -149,7 +149,7 @@ class FreeFit(Frozen):
     @property
     def offset(self) -> int:
         """Terms of what outputs have beside the modes: none, a constant, or a constant and a drift."""
-        return max(getattr(one, "offset", 0) for one in self.projection.experiments)
+        return max(getattr(rows, "offset", 0) for rows in self.projection.experiments)
 
     @property
     def order(self) -> int:
@@ -189,8 +189,8 @@ class FreeFit(Frozen):
 
 def feedthrough_of(fit: FreeFit) -> Array:
     """What is fed through in the units of the data, shape (p, m)."""
-    found = fit.projection.feedthrough * fit.scales[:, None]
-    return found.reshape(-1, len(fit.channels[0].input_labels)) if fit.per_entry else found
+    feedthrough = fit.projection.feedthrough * fit.scales[:, None]
+    return feedthrough.reshape(-1, len(fit.channels[0].input_labels)) if fit.per_entry else feedthrough
 
 
 def free_fit(
@@ -276,7 +276,7 @@ def free_fit(
     automatic = not isinstance(order, int)
     real_poles = 0 if real_poles == "auto" and not automatic else real_poles
 
-    def posed(
+    def path_for(
         channels: Experiments, terms: int = int(bool(offset)), hold: str = intersample, late: Array | None = delay
     ) -> FreePath:
         return FreePath.of(
@@ -294,27 +294,27 @@ def free_fit(
         if any(map(len, wild)):
             return _with_or_without(wild, channels, among, start)
         return _without_errors(among(channels, start=start), responses, among)
-    path = posed(channels)
+    path = path_for(channels)
     path.check(1 if automatic else int(order))
     begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
     most = min(max_order, path.carried) if automatic else int(order)
     if automatic and criterion == "holdout":
-        most, automatic = foretelling_order(channels, begin, most, posed), False
-    found = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
-    seen = found.per_entry and not found.interrupted and path.best is not None
+        most, automatic = foretelling_order(channels, begin, most, path_for), False
+    fit = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
+    seen = fit.per_entry and not fit.interrupted and path.best is not None
     if seen and weighted and start is None and not path.is_white(path.best):  # type: ignore[arg-type]
-        found = _from_peaks(found, posed, begin, most, automatic)
-    if automatic and real_poles in ("auto", 0) and not found.interrupted:
-        found = _of_few_lines(found, path.of_few_lines(), min(max_order, path.carried))
-    found = found.with_delay_open(delay is None)
-    if found.interrupted or found.rounding or (found.per_entry and weighted) or not (found.states or found.noise):
-        return found
+        fit = _from_peaks(fit, path_for, begin, most, automatic)
+    if automatic and real_poles in ("auto", 0) and not fit.interrupted:
+        fit = _of_few_lines(fit, path.of_few_lines(), min(max_order, path.carried))
+    fit = fit.with_delay_open(delay is None)
+    if fit.interrupted or fit.rounding or (fit.per_entry and weighted) or not (fit.states or fit.noise):
+        return fit
     try:
-        if found.per_entry:
-            return _in_noise_of_the_gain(found, posed, most, automatic)
+        if fit.per_entry:
+            return _in_noise_of_the_gain(fit, path_for, most, automatic)
         search = partial(FreePath.fit, start=begin, most=most, automatic=automatic, channels=channels)
-        anew = _searches_anew(found, posed, search, None if intersample == "auto" else intersample)
-        level = _beside_drift(found, anew) if offset == "auto" else found
+        anew = _searches_anew(fit, path_for, search, None if intersample == "auto" else intersample)
+        level = _beside_drift(fit, anew) if offset == "auto" else fit
         late = _on_time(level, anew) if delay is None else level
         if offset != "auto":
             return late
@@ -322,41 +322,41 @@ def free_fit(
         late = _beside_drift(late, anew) if late is not level and late.offset < 2 else late
         return _with_constants(late)
     except KeyboardInterrupt:
-        return replace(found, interrupted=True)
+        return replace(fit, interrupted=True)
 
 
-def _searches_anew(found: FreeFit, posed: Callable[..., FreePath], search: partial[FreeFit], held: str | None) -> Anew:
+def _searches_anew(fit: FreeFit, path_for: Callable[..., FreePath], search: partial[FreeFit], held: str | None) -> Anew:
     """Searches, or refinements from poles, in the noise of a fit with other delays and offsets."""
 
     def anew(late: Array, terms: int, start: ComplexArray | None) -> FreeFit:
-        path = posed(found.channels, terms, held or found.intersample, late)
-        path.whiten(found.noise, path.power)
+        path = path_for(fit.channels, terms, held or fit.intersample, late)
+        path.whiten(fit.noise, path.power)
         if start is None:
             again = search(path, either_hold=held is None)
         else:
             model = path.model(start)
-            model = path.in_its_noise(model) if found.noise else model
-            again = path.finished(model, found.channels, search.keywords["automatic"])
+            model = path.in_its_noise(model) if fit.noise else model
+            again = path.finished(model, fit.channels, search.keywords["automatic"])
         if again.interrupted:
             raise KeyboardInterrupt
-        return again.with_delay_open(found.delay_open)
+        return again.with_delay_open(fit.delay_open)
 
     return anew
 
 
-def _in_noise_of_the_gain(found: FreeFit, posed: Callable[..., FreePath], most: int, automatic: bool) -> FreeFit:
+def _in_noise_of_the_gain(fit: FreeFit, path_for: Callable[..., FreePath], most: int, automatic: bool) -> FreeFit:
     """The fit of responses with the weights of the law of noise that each entry shows."""
 
     def weighted_path(channels: Experiments) -> FreePath:
-        path = posed(channels)
-        path.add_terms([one for one in found.projection.experiments if isinstance(one, FreeResponse)])
+        path = path_for(channels)
+        path.add_terms([rows for rows in fit.projection.experiments if isinstance(rows, FreeResponse)])
         return path
 
     def refined(channels: Experiments, p: ComplexArray) -> FreeFit:
         path = weighted_path(channels)
         path.weigh(path.model(p).losses)
-        at = path.refined(p, TUNING.rough, None)
-        return replace(found, projection=at, channels=tuple(channels), scales=1.0 / path.sizes)
+        projection = path.refined(p, TUNING.rough, None)
+        return replace(fit, projection=projection, channels=tuple(channels), scales=1.0 / path.sizes)
 
     def again(channels: Experiments, p: ComplexArray, known: bool) -> FreeFit:
         path = weighted_path(channels)
@@ -365,7 +365,7 @@ def _in_noise_of_the_gain(found: FreeFit, posed: Callable[..., FreePath], most: 
             model = path.chosen(path.cleaned(model).p, most, automatic)
         return path.finished(model, channels, automatic)
 
-    return _reweighted(found, refined, again)
+    return _reweighted(fit, refined, again)
 
 
 def _with_or_without(
@@ -382,52 +382,52 @@ def _with_or_without(
 
 
 def _from_peaks(
-    found: FreeFit, posed: Callable[..., FreePath], begin: ComplexArray, most: int, automatic: bool
+    fit: FreeFit, path_for: Callable[..., FreePath], begin: ComplexArray, most: int, automatic: bool
 ) -> FreeFit:
     """The fit from the poles that responses show where all lines weigh the same, if that is likelier.
 
-    Weighted by its gain, a response is as large everywhere, and hides its resonances from who seeks the first.
+    Weighted by its gain, a response is equally large everywhere: its resonances do not stand out in a search for poles.
     """
-    channels: Any = found.channels
-    if all(np.ptp(one.weights[one.observed]) == 0 for one in channels):
-        return found
-    alike = [replace(one, weights=np.where(one.observed, 1.0, one.weights)) for one in channels]
-    p = posed(alike).fit(begin, most, automatic, alike, either_hold=False).projection.p
-    other = posed(channels).fit(p, most, automatic, channels, either_hold=False)
-    return other if other.criteria.bic < found.criteria.bic else found
+    channels: Any = fit.channels
+    if all(np.ptp(channel.weights[channel.observed]) == 0 for channel in channels):
+        return fit
+    alike = [replace(channel, weights=np.where(channel.observed, 1.0, channel.weights)) for channel in channels]
+    p = path_for(alike).fit(begin, most, automatic, alike, either_hold=False).projection.p
+    other = path_for(channels).fit(p, most, automatic, channels, either_hold=False)
+    return other if other.criteria.bic < fit.criteria.bic else fit
 
 
 def wild_lines(response: ResponseMatrix) -> Indices:
     """Places of lines that are far larger than the lines about them in some entry, unless many are.
 
-    In units of their errors, where weights say these.
+    In units of their standard errors, where the weights give these.
     """
     size = np.abs(response.response * np.sqrt(response.weights)).reshape(-1, response.samples)
-    found = np.zeros(response.samples, bool)
+    wild = np.zeros(response.samples, bool)
     for each in size:
         seen = np.flatnonzero(each == each)
         if len(seen) <= 2 * _ABOUT:
             continue
         padded = np.pad(each[seen], _ABOUT, mode="reflect")
         about = np.delete(np.lib.stride_tricks.sliding_window_view(padded, 2 * _ABOUT + 1), _ABOUT, axis=1)
-        found[seen] |= each[seen] > _WILD * np.median(about, axis=1)
-    return np.flatnonzero(found) if 0 < found.sum() <= max(_FEW_WILD, _ABOUT * len(found) // 1000) else np.zeros(0, int)
+        wild[seen] |= each[seen] > _WILD * np.median(about, axis=1)
+    return np.flatnonzero(wild) if 0 < wild.sum() <= max(_FEW_WILD, _ABOUT * len(wild) // 1000) else np.zeros(0, int)
 
 
 def _without_lines(channels: Experiments, lines: Sequence[Indices]) -> list[ResponseMatrix]:
-    found = []
-    for one, places in zip(channels, lines, strict=True):
-        assert isinstance(one, ResponseMatrix)
-        response = one.response.copy()
+    responses = []
+    for channel, places in zip(channels, lines, strict=True):
+        assert isinstance(channel, ResponseMatrix)
+        response = channel.response.copy()
         response[..., places] = np.nan
-        found.append(replace(one, response=response))
-    return found
+        responses.append(replace(channel, response=response))
+    return responses
 
 
 def _explains(whole: FreeFit, calm: FreeFit, lines: Sequence[Indices]) -> bool:
-    """Whether a fit to all lines leaves a part of the values at some, and of all others hardly more than without these.
+    """Whether a fit to all lines explains the values at some, and fits all others hardly worse than one without these.
 
-    Values of few digits next to a resonance are not what the noise of all others lets one expect, and still its own.
+    Values of few digits next to a resonance may be off by more than the noise of all others, and still belong to it.
     There is no resonance at a frequency of 0.
     """
     if any(np.any(data.omega[far] == 0) for data, far in zip(whole.channels, lines, strict=True)):
@@ -458,8 +458,8 @@ def _without_errors(whole: FreeFit, channels: Sequence[ResponseMatrix], among: C
     A mode that only one line asks for has more unknowns than a value of its own.  Next to a resonance an error looks
     like damping, and residuals are not white: there a line is left out only if nothing else was wrong.
     """
-    at = whole.projection
-    if whole.interrupted or whole.rounding or not len(at.p):
+    projection = whole.projection
+    if whole.interrupted or whole.rounding or not len(projection.p):
         return whole
 
     def leaving(places: Collection[Place], **how: Any) -> FreeFit:
@@ -473,13 +473,13 @@ def _without_errors(whole: FreeFit, channels: Sequence[ResponseMatrix], among: C
 
     single = _of_single_lines(whole, channels)
     if single:
-        rest = np.delete(at.p, list(single))
+        rest = np.delete(projection.p, list(single))
         return leaving(set(single.values()), start=rest) if len(set(single.values())) <= _FEW_WILD else whole
-    if _is_white(at):
+    if _is_white(projection):
         return whole
     nearest = {
         (k, int(np.argmin(np.where(data.observed.any(axis=(0, 1)), np.abs(data.omega - d), np.inf))))
-        for k, data in enumerate(channels) for d in at.d[at.p.imag > 0]
+        for k, data in enumerate(channels) for d in projection.d[projection.p.imag > 0]
     }  # fmt: skip
     calm = leaving(nearest, order=whole.order)
     if calm is whole or not _is_white(calm.projection):
@@ -493,39 +493,39 @@ def _of_single_lines(fit: FreeFit, channels: Sequence[ResponseMatrix]) -> dict[i
     """Modes that the criterion takes for one line alone, each with its experiment and the line."""
     effects = _effects(fit.projection, channels)
     lines = [int(data.observed.sum()) for data in channels]
-    found = {}
+    places = {}
     for l in np.flatnonzero(fit.projection.p.imag > 0).tolist():
         k = int(np.argmax([part[l].max() for part in effects]))
         others = sum(float(part[l].sum()) for part in effects) - float(effects[k][l].max())
         if others < (2 + 2 * len(fit.scales)) * np.log(2 * sum(lines)):
-            found[l] = (k, int(np.argmax(effects[k][l])))
-    return found
+            places[l] = (k, int(np.argmax(effects[k][l])))
+    return places
 
 
-def _effects(at: FreeProjection, channels: Sequence[ResponseMatrix]) -> list[Array]:
+def _effects(projection: FreeProjection, channels: Sequence[ResponseMatrix]) -> list[Array]:
     """Square of what each mode adds to each line of each experiment, all entries together, in units of the noise."""
-    found = [np.zeros((len(at.p), data.samples)) for data in channels]
+    effects = [np.zeros((len(projection.p), data.samples)) for data in channels]
     number = {id(data.omega): k for k, data in enumerate(channels)}
-    for rows in at.experiments:
+    for rows in projection.experiments:
         assert isinstance(rows, FreeResponse)
-        ahead, behind = rows.poles(at.p)
+        ahead, behind = rows.poles(projection.p)
         for output in rows.outputs.tolist():
-            r = at.residues[:, output, 0][:, None]
+            r = projection.residues[:, output, 0][:, None]
             size = np.abs((r * ahead + r.conj() * behind) * rows.weight) ** 2
-            found[number[id(rows.frequencies)]][:, rows.observed] += size
-    return found
+            effects[number[id(rows.frequencies)]][:, rows.observed] += size
+    return effects
 
 
-def _is_white(at: FreeProjection) -> bool:
+def _is_white(projection: FreeProjection) -> bool:
     """Whether what is left of each entry may be white noise."""
     parts: dict[int, list[Array]] = {}
-    for rows, predicted in zip(at.experiments, at.predictions(), strict=True):
+    for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
         assert isinstance(rows, FreeResponse)
-        apart = (rows.response - predicted)[:, rows.observed] * rows.weight
-        for output, row in zip(rows.outputs.tolist(), apart, strict=True):
+        residuals = (rows.response - predicted)[:, rows.observed] * rows.weight
+        for output, row in zip(rows.outputs.tolist(), residuals, strict=True):
             parts.setdefault(output, []).extend([row.real, row.imag])
-    found = [ljung_box(each, TUNING.lags) for each in parts.values()]
-    return min(found) * len(found) >= TUNING.white
+    p_values = [ljung_box(each, TUNING.lags) for each in parts.values()]
+    return min(p_values) * len(p_values) >= TUNING.white
 
 
 def _is_likelier_without(whole: FreeFit, calm: FreeFit, lines: Sequence[Indices]) -> bool:
@@ -547,15 +547,15 @@ def _cost_of_lines(whole: FreeFit, lines: Sequence[Indices]) -> float:
 
     Two numbers for each value, and one at 0, where responses are real.
     """
-    count, cost = 2 * sum(int(one.observed.sum()) for one in whole.channels), 0.0
-    for one, places in zip(whole.channels, lines, strict=True):
-        variances = (whole.scales**2)[:, None] / one.weights[..., places].reshape(len(whole.scales), -1)
-        numbers = np.where(one.omega[places] == 0, 1, 2) * np.log(count)
+    count, cost = 2 * sum(int(channel.observed.sum()) for channel in whole.channels), 0.0
+    for channel, places in zip(whole.channels, lines, strict=True):
+        variances = (whole.scales**2)[:, None] / channel.weights[..., places].reshape(len(whole.scales), -1)
+        numbers = np.where(channel.omega[places] == 0, 1, 2) * np.log(count)
         cost += float(np.sum(2 * np.log(2 * np.pi * variances) + numbers))
     return cost
 
 
-def _of_few_lines(found: FreeFit, paths: Sequence[FreePath], most: int) -> FreeFit:
+def _of_few_lines(fit: FreeFit, paths: Sequence[FreePath], most: int) -> FreeFit:
     """The fit to few points of responses at the poles that real shapes of damping that decouples ask for, if likelier.
 
     Where few points show as many residues of any phase, these are too many numbers for the criterion to grant.
@@ -565,15 +565,15 @@ def _of_few_lines(found: FreeFit, paths: Sequence[FreePath], most: int) -> FreeF
     try:
         for few in paths:
             model = few.significant(few.chosen(np.zeros(0, complex), most, True))
-            if few.cost(model) < min(cost, found.criteria.by_name(few.criterion)):
+            if few.cost(model) < min(cost, fit.criteria.by_name(few.criterion)):
                 best, cost, path = model, few.cost(model), few
         if best is None:
-            return found
-        rows = [replace(one, classical=False) for one in path.search.data]
+            return fit
+        rows = [replace(response, classical=False) for response in path.search.data]
         free = FreePath(Responses(rows, False), path.felt, path.criterion, path.reports, None, 0)
-        judged = free.finished(free.model(best.p), found.channels)
+        judged = free.finished(free.model(best.p), fit.channels)
     except KeyboardInterrupt:
-        return replace(found, interrupted=True)
+        return replace(fit, interrupted=True)
     return replace(judged, order_table=tuple(path.table[n] for n in sorted(path.table)))
 
 
@@ -584,26 +584,26 @@ def _of_long(
     channels: Experiments, order: int | str, intersample: str, offset: bool | str, how: dict[str, Any], **options: Any
 ) -> FreeFit:
     """The fit to a part of long records, its modes refined over longer and longer ones, up to all samples."""
-    part = [searched_part(one, not how["moving"]) for one in channels]
-    parts = [cut(one, samples) for one, samples in zip(channels, part, strict=True)]
-    found = free_fit(parts, order, intersample=intersample, offset=offset, **how, **options)
-    if found.interrupted:
-        return found
-    how["noise"] = found.noise
-    best, path = FreeModel(found.projection, [], found.projection.losses * found.scales**2), None
-    while path is None or any(one.stop - one.start < given.samples for one, given in zip(part, channels, strict=True)):
-        part = [next(stages(one, given.samples), one) for one, given in zip(part, channels, strict=True)]
-        longer = [cut(given, one) for given, one in zip(channels, part, strict=True)]
-        path = FreePath.of(
-            longer, intersample=found.intersample, offset=found.offset, best=best, delay=found.delay, **how
-        )
-        at = path.refined(best.p, TUNING.rough, None)
-        path.best = best = FreeModel(at, [], path.in_data(at.losses), path.search)
+    part = [searched_part(channel, not how["moving"]) for channel in channels]
+    parts = [cut(channel, span) for channel, span in zip(channels, part, strict=True)]
+    fit = free_fit(parts, order, intersample=intersample, offset=offset, **how, **options)
+    if fit.interrupted:
+        return fit
+    how["noise"] = fit.noise
+    best, path = FreeModel(fit.projection, [], fit.projection.losses * fit.scales**2), None
+    while path is None or any(
+        span.stop - span.start < channel.samples for span, channel in zip(part, channels, strict=True)
+    ):
+        part = [next(stages(span, channel.samples), span) for span, channel in zip(part, channels, strict=True)]
+        longer = [cut(channel, span) for channel, span in zip(channels, part, strict=True)]
+        path = FreePath.of(longer, intersample=fit.intersample, offset=fit.offset, best=best, delay=fit.delay, **how)
+        projection = path.refined(best.p, TUNING.rough, None)
+        path.best = best = FreeModel(projection, [], path.in_data(projection.losses), path.search)
     whole = path.fit(best.p, len(best.p), False, channels, either_hold=intersample == "auto")
-    whole = whole.with_rival(lambda rival: replace(rival, order_table=found.order_table))
+    whole = whole.with_rival(lambda rival: replace(rival, order_table=fit.order_table))
     return replace(
-        whole, order_table=found.order_table, findings=found.findings, delay_gain=found.delay_gain
-    ).with_delay_open(found.delay_open)
+        whole, order_table=fit.order_table, findings=fit.findings, delay_gain=fit.delay_gain
+    ).with_delay_open(fit.delay_open)
 
 
 # --- drifts and delays -----------------------------------------------------------------------------------------------
@@ -611,46 +611,46 @@ def _of_long(
 Anew = Callable[[Array, int, ComplexArray | None], FreeFit]  # search, or from poles, with delays and terms of offsets
 
 
-def _beside_drift(found: FreeFit, anew: Anew) -> FreeFit:
+def _beside_drift(fit: FreeFit, anew: Anew) -> FreeFit:
     """The fit beside outputs that drift, where a line explains more than a slow mode or what is left."""
-    rows = [one for one in found.projection.experiments if isinstance(one, FreeRecord)]
-    slow = found.projection.d < TUNING.damped_apart * min(one.bin for one in rows)
-    if not slow.any() and not any(_leans(*one) for one in zip(rows, found.projection.predictions(), strict=True)):
-        return found
-    trial = anew(found.delay, 2, found.projection.p[~slow])
-    if trial.criteria.bic > found.criteria.bic - 2 * TUNING.sure:
-        return found
-    again = anew(found.delay, 2, None)
+    records = [record for record in fit.projection.experiments if isinstance(record, FreeRecord)]
+    slow = fit.projection.d < TUNING.damped_apart * min(record.bin for record in records)
+    if not slow.any() and not any(_leans(*pair) for pair in zip(records, fit.projection.predictions(), strict=True)):
+        return fit
+    trial = anew(fit.delay, 2, fit.projection.p[~slow])
+    if trial.criteria.bic > fit.criteria.bic - 2 * TUNING.sure:
+        return fit
+    again = anew(fit.delay, 2, None)
     best = again if again.criteria.bic <= trial.criteria.bic else trial
     drifts = [
-        float(one) for rows, own in zip(best.projection.experiments, best.projection.own, strict=True)
-        if isinstance(rows, FreeRecord) for one in best.scales[rows.outputs] * own[-2] / rows.hold.h
+        float(slope) for rows, own in zip(best.projection.experiments, best.projection.own, strict=True)
+        if isinstance(rows, FreeRecord) for slope in best.scales[rows.outputs] * own[-2] / rows.hold.h
     ]  # fmt: skip
     # slow poles may stand for a drift
-    level = anew(found.delay, 1, found.projection.p[~slow]) if slow.any() else found
-    gain = max(best.criteria.loglik - level.criteria.loglik, 0.5 * (found.criteria.bic - best.criteria.bic))
+    level = anew(fit.delay, 1, fit.projection.p[~slow]) if slow.any() else fit
+    gain = max(best.criteria.loglik - level.criteria.loglik, 0.5 * (fit.criteria.bic - best.criteria.bic))
     finding = Finding(Cause.DRIFT, tuple(drifts), gain)
-    return replace(best, findings=(*found.findings, finding), delay_gain=found.delay_gain)
+    return replace(best, findings=(*fit.findings, finding), delay_gain=fit.delay_gain)
 
 
-def _with_constants(found: FreeFit) -> FreeFit:
+def _with_constants(fit: FreeFit) -> FreeFit:
     """Return the fit with a finding of the constants of its outputs, if there are any."""
-    if found.offset != 1:
-        return found
+    if fit.offset != 1:
+        return fit
     values = [
-        float(value) for rows, own in zip(found.projection.experiments, found.projection.own, strict=True)
-        for value in found.scales[rows.outputs] * own[-1]
+        float(value) for rows, own in zip(fit.projection.experiments, fit.projection.own, strict=True)
+        for value in fit.scales[rows.outputs] * own[-1]
     ]  # fmt: skip
-    finding = Finding(Cause.CONSTANT, tuple(values), 0.5 * float(_evidence_of_constants(found.projection)))
-    return replace(found, findings=(*found.findings, finding))
+    finding = Finding(Cause.CONSTANT, tuple(values), 0.5 * float(_evidence_of_constants(fit.projection)))
+    return replace(fit, findings=(*fit.findings, finding))
 
 
-def _evidence_of_constants(at: FreeProjection) -> float:
+def _evidence_of_constants(projection: FreeProjection) -> float:
     """How much the loss would grow without the constants of the outputs."""
-    covariance = at.covariance(1.0)
+    covariance = projection.covariance(1.0)
     pairs = (
-        (own[-1], inner[-1, -1]) for k, outputs in enumerate(at.own)
-        for own, (inner, _) in zip(outputs.T, at.own_covariances(k, covariance, 1.0), strict=True)
+        (own[-1], inner[-1, -1]) for k, outputs in enumerate(projection.own)
+        for own, (inner, _) in zip(outputs.T, projection.own_covariances(k, covariance, 1.0), strict=True)
     )  # fmt: skip
     return float(sum(value**2 / variance for value, variance in pairs))
 
@@ -658,21 +658,21 @@ def _evidence_of_constants(at: FreeProjection) -> float:
 def _leans(rows: FreeRecord, predicted: NDArray[Any]) -> bool:
     """Whether a line explains some of what is left of outputs."""
     t = np.flatnonzero(rows.observed) - np.mean(np.flatnonzero(rows.observed))
-    left = (rows.measured - predicted)[:, rows.observed]
-    share = (left @ t) ** 2 / np.maximum(np.sum(left**2, axis=1) * (t @ t), np.finfo(float).tiny)
+    residuals = (rows.measured - predicted)[:, rows.observed]
+    share = (residuals @ t) ** 2 / np.maximum(np.sum(residuals**2, axis=1) * (t @ t), np.finfo(float).tiny)
     return bool(np.any(-0.5 * len(t) * np.log1p(-np.minimum(share, 0.5)) > TUNING.likely))
 
 
-def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
+def _on_time(fit: FreeFit, anew: Anew) -> FreeFit:
     """The fit with outputs that come some samples after the inputs, or before, where the modes say so."""
-    best, gain = found, TUNING.likely
-    for delay in likely_delays(found):
-        again = anew(delay, found.offset, None)
-        share = found.projection.rows / again.projection.rows
-        now = 0.5 * (found.criteria.bic - again.criteria.bic * share)
+    best, gain = fit, TUNING.likely
+    for delay in likely_delays(fit):
+        again = anew(delay, fit.offset, None)
+        share = fit.projection.rows / again.projection.rows
+        now = 0.5 * (fit.criteria.bic - again.criteria.bic * share)
         if now > gain:
-            best, gain = replace(again, findings=found.findings, delay_gain=now), now
-            if again.order < found.order and not _leaves_traces(again.projection):
+            best, gain = replace(again, findings=fit.findings, delay_gain=now), now
+            if again.order < fit.order and not _leaves_traces(again.projection):
                 break
     # poles that were found in a wrong delay, or none, say little of the right one
     tried = {_samples_late(best)}
@@ -680,41 +680,43 @@ def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
         proposed = scanned_delays(best) - tried
         tried, before = tried | proposed, best
         for samples in sorted(proposed - {0}):
-            again = anew(np.full(len(found.scales), samples * found.channels[0].dt), found.offset, None)
-            now = 0.5 * (found.criteria.bic - again.criteria.bic * found.projection.rows / again.projection.rows)
+            again = anew(np.full(len(fit.scales), samples * fit.channels[0].dt), fit.offset, None)
+            now = 0.5 * (fit.criteria.bic - again.criteria.bic * fit.projection.rows / again.projection.rows)
             # with noise that is modelled a delay is one more parameter; without, what else leaves traces may ask for it
-            each = 0.5 * float(np.log(found.projection.rows)) if again.noise else TUNING.likely
-            if now > (each if best is found else gain):
-                best, gain = replace(again, findings=found.findings, delay_gain=now), now
+            each = 0.5 * float(np.log(fit.projection.rows)) if again.noise else TUNING.likely
+            if now > (each if best is fit else gain):
+                best, gain = replace(again, findings=fit.findings, delay_gain=now), now
         if best is before:
             break
     return best
 
 
-def likely_delays(found: FreeFit) -> list[Array]:
+def likely_delays(fit: FreeFit) -> list[Array]:
     """Whole samples, as times, by which outputs of recordings may come after the inputs, for the poles there are.
 
-    Residues turn with a delay; what the first samples of an answer are tells it.  Heavily damped modes can be a
+    A delay turns the phase of residues; the first samples of a response determine it.  Heavily damped modes can be a
     rational approximation of it (Pade), which leaves white residuals: they are weighed against a delay without them.
     One delay of all outputs, or of each its own; the likeliest first.
     """
-    if not found.projection.inputs or not found.order or isinstance(found.channels[0], ResponseMatrix):
+    if not fit.projection.inputs or not fit.order or isinstance(fit.channels[0], ResponseMatrix):
         return []
-    p, some = found.projection.p, [cut(one, slice(0, min(one.samples, _DELAYS_FROM))) for one in found.channels]
-    step, count = some[0].dt, len(found.scales)
+    p = fit.projection.p
+    some = [cut(recording, slice(0, min(recording.samples, _DELAYS_FROM))) for recording in fit.channels]
+    step, count = some[0].dt, len(fit.scales)
     records = [
-        replace(one, y=one.y / found.scales[one.outputs, None])
-        for one in _records(some, found.intersample, found.offset, True, found.method)
+        replace(record, y=record.y / fit.scales[record.outputs, None])
+        for record in _records(some, fit.intersample, fit.offset, True, fit.method)
     ]
 
     def late(samples: int, p: ComplexArray = p) -> FreeProjection:
-        return FreeProjection([one.delayed(samples * step) for one in records], p)
+        return FreeProjection([record.delayed(samples * step) for record in records], p)
 
-    def bic(at: FreeProjection) -> float:
-        return float(at.rows * np.log(at.loss / at.rows) + at.unknowns * np.log(at.rows)) / at.rows
+    def bic(projection: FreeProjection) -> float:
+        rows = projection.rows
+        return float(rows * np.log(projection.loss / rows) + projection.unknowns * np.log(rows)) / rows
 
     def of_all(samples: list[int]) -> list[Array]:
-        return [np.full(count, step * one) for one in samples]
+        return [np.full(count, step * lag) for lag in samples]
 
     light = p[-p.real < _MIMICS * np.abs(p)]
     if 0 < len(light) < len(p):
@@ -728,72 +730,72 @@ def likely_delays(found: FreeFit) -> list[Array]:
         return []
     gains, each = {}, {}
     for delay in (0, *TUNING.delays):
-        at = late(delay)
-        if at.rows > 2 * at.unknowns or not delay:
-            gains[delay] = -0.5 * found.projection.rows * float(np.log(at.loss / at.rows))
-            each[delay] = at.losses / at.rows
-    if found.noise:  # what takes the place of a delay
+        projection = late(delay)
+        if projection.rows > 2 * projection.unknowns or not delay:
+            gains[delay] = -0.5 * fit.projection.rows * float(np.log(projection.loss / projection.rows))
+            each[delay] = projection.losses / projection.rows
+    if fit.noise:  # what takes the place of a delay
         best = max(gains, key=lambda delay: gains[delay])
         return of_all([best] if best else [])
     # modes too many may stand for most of a delay; one sample more or less is what may be fed through
     likely = {delay for delay, gain in gains.items() if delay > 1 and gain > gains[0] - TUNING.likely}
     likely |= {1} & gains.keys() if likely else set()
     likely = (likely | {max(gains, key=lambda delay: gains[delay])}) - {0}
-    found_for_all = of_all(sorted(likely, key=lambda delay: -gains[delay]))
+    common_delays = of_all(sorted(likely, key=lambda delay: -gains[delay]))
     tried = np.array(list(each))
-    own = tried[np.argmin(np.stack([each[one] for one in tried.tolist()]), axis=0)]
-    return [*found_for_all, step * own] if np.ptp(own) else found_for_all
+    own = tried[np.argmin(np.stack([each[delay] for delay in tried.tolist()]), axis=0)]
+    return [*common_delays, step * own] if np.ptp(own) else common_delays
 
 
-def _samples_late(found: FreeFit) -> int:
+def _samples_late(fit: FreeFit) -> int:
     """Whole samples by which the outputs of a fit come after its inputs."""
-    return int(np.rint(np.median(found.delay) / found.channels[0].dt))
+    return int(np.rint(np.median(fit.delay) / fit.channels[0].dt))
 
 
-def scanned_delays(found: FreeFit) -> set[int]:
+def scanned_delays(fit: FreeFit) -> set[int]:
     """Samples by which outputs may come after the inputs, for the poles and the noise there are, or a lag of any rate.
 
     Poles of a fit may stand for a part of a delay, which a lag cannot.  Nothing is looked for where what is left shows
     nothing of the inputs.
     """
-    channels = found.channels
-    if isinstance(channels[0], ResponseMatrix) or not len(channels[0].input_labels) or found.rounding or not (
-        found.noise or (found.order and np.any(found.projection.p.imag == 0) and _leaves_traces(found.projection))
+    channels = fit.channels
+    if isinstance(channels[0], ResponseMatrix) or not len(channels[0].input_labels) or fit.rounding or not (
+        fit.noise or (fit.order and np.any(fit.projection.p.imag == 0) and _leaves_traces(fit.projection))
     ):  # fmt: skip
         return set()
-    some = [cut(one, slice(0, min(one.samples, _DELAYS_FROM))) for one in channels]
-    shortest = min(one.samples for one in some)
+    some = [cut(recording, slice(0, min(recording.samples, _DELAYS_FROM))) for recording in channels]
+    shortest = min(recording.samples for recording in some)
     most = min(_LONGEST_DELAY, shortest // 10)
-    records = _records(some, found.intersample, found.offset, True, found.method)
+    records = _records(some, fit.intersample, fit.offset, True, fit.method)
 
     def scanned(p: ComplexArray) -> tuple[float, int]:
         """Squares that poles leave with the best delay, and this."""
-        left = []
+        losses = []
         for samples in range(most + 1):
             late = [row.delayed(samples * row.hold.h, 0.0, most * row.hold.h) for row in records]
-            rows = Records(late).whitened(found.noise) if found.noise else Records(late)
-            left.append(FreeProjection(rows.scaled(1.0 / found.scales).data, p).loss)
-        return min(left), int(np.argmin(left))
+            rows = Records(late).whitened(fit.noise) if fit.noise else Records(late)
+            losses.append(FreeProjection(rows.scaled(1.0 / fit.scales).data, p).loss)
+        return min(losses), int(np.argmin(losses))
 
     rates = np.geomspace(20.0 / shortest, 0.5, _LAGS) / channels[0].dt
     proposed = {min(scanned(np.array([-rate + 0j])) for rate in rates)[1]}
-    return proposed | {scanned(found.projection.p)[1]} if found.order else proposed
+    return proposed | {scanned(fit.projection.p)[1]} if fit.order else proposed
 
 
-def _leaves_traces(at: FreeProjection) -> bool:
+def _leaves_traces(projection: FreeProjection) -> bool:
     """Whether what is left of outputs is no white noise, or goes with an input some samples before or after."""
-    most, found = max(map(abs, TUNING.delays)), []
-    for rows, predicted in zip(at.experiments, at.predictions(), strict=True):
+    most, p_values = max(map(abs, TUNING.delays)), []
+    for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
         if not isinstance(rows, FreeRecord):
             continue
-        left = np.where(rows.observed, rows.measured - predicted, 0.0)
-        found += [ljung_box([one[rows.observed]], TUNING.lags) for one in left]
+        residuals = np.where(rows.observed, rows.measured - predicted, 0.0)
+        p_values += [ljung_box([residual[rows.observed]], TUNING.lags) for residual in residuals]
         size = 2 * rows.length
-        U, E = np.fft.rfft(rows.u[: rows.inputs], size), np.fft.rfft(left, size)
+        U, E = np.fft.rfft(rows.u[: rows.inputs], size), np.fft.rfft(residuals, size)
         products = np.fft.irfft(E[:, None] * U.conj(), size)[..., np.r_[-most : most + 1]]
-        power = np.sum(left**2, axis=1)[:, None] * np.sum(rows.u[: rows.inputs] ** 2, axis=1) / rows.samples
-        found += chi2.sf(products**2 / np.where(power > 0, power, np.inf)[..., None], 1).ravel().tolist()
-    return bool(found) and min(found) * len(found) < TUNING.white
+        power = np.sum(residuals**2, axis=1)[:, None] * np.sum(rows.u[: rows.inputs] ** 2, axis=1) / rows.samples
+        p_values += chi2.sf(products**2 / np.where(power > 0, power, np.inf)[..., None], 1).ravel().tolist()
+    return bool(p_values) and min(p_values) * len(p_values) < TUNING.white
 
 
 # --- noise that grows with the gain ----------------------------------------------------------------------------------
@@ -813,7 +815,7 @@ def _reweighted(
     if free and not any(law.share for law, _ in laws):
         return first
     # points of large gain, were they taken as equally sure, would draw the model through themselves
-    weights, p, known = balanced([one.response for one in first.channels]), first.projection.p, False
+    weights, p, known = balanced([channel.response for channel in first.channels]), first.projection.p, False
     while True:
         for place in range(ROUNDS):
             before = weights
@@ -838,26 +840,28 @@ def _reweighted(
 
 def _weighted_bic(fit: FreeFit) -> float:
     """BIC with the density of the noise where it has these weights: two real numbers at each point."""
-    return fit.criteria.bic - 2 * sum(float(np.sum(np.log(one.weights[one.observed]))) for one in fit.channels)
+    return fit.criteria.bic - 2 * sum(
+        float(np.sum(np.log(channel.weights[channel.observed]))) for channel in fit.channels
+    )
 
 
 def _with_weights(channels: Sequence[ResponseMatrix], weights: Sequence[Array]) -> list[ResponseMatrix]:
     pairs = zip(channels, weights, strict=True)
-    return [replace(one, weights=np.where(one.observed, each, 1.0)) for one, each in pairs]
+    return [replace(channel, weights=np.where(channel.observed, each, 1.0)) for channel, each in pairs]
 
 
 def _inverse_variances(fit: FreeFit, laws: Sequence[NoiseLaw]) -> list[Array]:
     """Weights (p, m, K) of each experiment by the laws of its entries, in the units of the data."""
-    found, at = [], fit.projection
-    for one in fit.channels:
-        weights = np.ones((len(laws), one.samples))
-        for rows, predicted in zip(at.experiments, at.predictions(), strict=True):
-            if isinstance(rows, FreeResponse) and rows.frequencies is one.omega:
+    inverse_variances, projection = [], fit.projection
+    for channel in fit.channels:
+        weights = np.ones((len(laws), channel.samples))
+        for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
+            if isinstance(rows, FreeResponse) and rows.frequencies is channel.omega:
                 for output, gain in zip(rows.outputs.tolist(), np.abs(predicted), strict=True):
                     variance = laws[output].floor ** 2 + (laws[output].share * gain) ** 2
                     weights[output] = 1.0 / (fit.scales[output] ** 2 * np.where(np.isnan(gain), 1.0, variance))
-        found.append(weights.reshape(one.response.shape))
-    return found
+        inverse_variances.append(weights.reshape(channel.response.shape))
+    return inverse_variances
 
 
 def orders_about(
@@ -869,17 +873,17 @@ def orders_about(
     Real poles stay, and are left out.
     Without inputs the residues are motions in the experiments.
     """
-    channels = [cut(one, searched_part(one, not moving)) for one in channels]
+    channels = [cut(channel, searched_part(channel, not moving)) for channel in channels]
     path = FreePath.of(channels, quantities, intersample, offset, moving, method=method, delay=delay)
-    found = []
+    orders = []
     for start, end in ((poles[poles.imag == 0], _modes(poles) - 1), (poles, min(most, path.carried))):
         model: FreeModel | None = path.reweighted(path.model(start))
         while model is not None:
             modes = model.p.imag > 0
             if modes.any():
-                found.append((model.p[modes], path.residues(model.projection, channels)[modes]))
+                orders.append((model.p[modes], path.residues(model.projection, channels)[modes]))
             model = path.with_modes(model, _modes(model.p) + 1, False) if _modes(model.p) < end else None
-    return found
+    return orders
 
 
 # --- data ------------------------------------------------------------------------------------------------------------
@@ -889,49 +893,51 @@ def _records(
     channels: Sequence[Recording], hold: str, offset: int, moving: bool, method: str = "exact",
     delay: Array | None = None,
 ) -> list[FreeRecord]:  # fmt: skip
-    found = list[FreeRecord]()
-    for one in channels:
-        acting = np.flatnonzero(one.u.any(axis=1))
+    records = list[FreeRecord]()
+    for recording in channels:
+        acting = np.flatnonzero(recording.u.any(axis=1))
         driven = len(acting) > 0
         options = {"offset": offset, "driven": driven, "moving": moving or not driven, "among": acting}
-        u = one.u if driven and len(acting) == len(one.u) else one.u[acting]
-        u = u if driven else np.broadcast_to(0.0, (1, one.samples))
-        found += FreeRecord.by_observation(u, one.y, one.observed, Hold(one.dt, method, hold), **options)
-    return found if delay is None or not delay.any() else Delays.of_outputs(delay).rows(found)
+        u = recording.u if driven and len(acting) == len(recording.u) else recording.u[acting]
+        u = u if driven else np.broadcast_to(0.0, (1, recording.samples))
+        records += FreeRecord.by_observation(
+            u, recording.y, recording.observed, Hold(recording.dt, method, hold), **options
+        )
+    return records if delay is None or not delay.any() else Delays.of_outputs(delay).rows(records)
 
 
 def _responses(
     channels: Sequence[ResponseMatrix], quantities: Sequence[str], delay: Array | None = None
 ) -> list[FreeResponse]:
     """Entries grouped where weights, but for a factor, and points agree."""
-    found = list[FreeResponse]()
-    for one in channels:
-        entries = one.response.reshape(-1, one.samples)
-        weights, observed = one.weights.reshape(entries.shape), one.observed.reshape(entries.shape)
-        kinds = np.repeat(np.array(quantities), one.response.shape[1])
+    responses = list[FreeResponse]()
+    for channel in channels:
+        entries = channel.response.reshape(-1, channel.samples)
+        weights, observed = channel.weights.reshape(entries.shape), channel.observed.reshape(entries.shape)
+        kinds = np.repeat(np.array(quantities), channel.response.shape[1])
         groups: dict[tuple[str, bytes, bytes], list[int]] = {}
         for e in np.flatnonzero(observed.any(axis=1)).tolist():
             shape = np.float32(np.where(observed[e], weights[e] / weights[e][observed[e]].mean(), 0.0))
             groups.setdefault((str(kinds[e]), observed[e].tobytes(), shape.tobytes()), []).append(e)
         for (kind, *_), members in groups.items():
-            at, seen = members[0], observed[members[0]]
-            scale = np.sqrt(weights[at] / weights[at][seen].mean())
+            first, seen = members[0], observed[members[0]]
+            scale = np.sqrt(weights[first] / weights[first][seen].mean())
             response = np.where(seen, entries[members], 0.0)
-            rows = FreeResponse(one.omega, response, scale, seen, kind, np.array(members))
-            found.append(rows.on_background())
+            rows = FreeResponse(channel.omega, response, scale, seen, kind, np.array(members))
+            responses.append(rows.on_background())
     if delay is None or not delay.any():
-        return found
-    return Delays.of_outputs(delay.repeat(len(channels[0].input_labels))).rows(found)
+        return responses
+    return Delays.of_outputs(delay.repeat(len(channels[0].input_labels))).rows(responses)
 
 
-def _refuse_unmeasured(one: ResponseMatrix, measured: Array) -> None:
+def _refuse_unmeasured(matrix: ResponseMatrix, measured: Array) -> None:
     """Refuse an entry that no experiment measured: nothing is known of its residues."""
-    rest = np.setdiff1d(np.arange(one.response[..., 0].size), measured)
+    rest = np.setdiff1d(np.arange(matrix.response[..., 0].size), measured)
     if rest.size:
-        o, i = divmod(int(rest[0]), len(one.input_labels))
-        more = f", and {rest.size - 1} more of {one.response[..., 0].size} responses" if rest.size > 1 else ""
+        o, i = divmod(int(rest[0]), len(matrix.input_labels))
+        more = f", and {rest.size - 1} more of {matrix.response[..., 0].size} responses" if rest.size > 1 else ""
         raise StructureError(
-            f"the response of {one.output_labels[o]!r} to {one.input_labels[i]!r} was not measured at any "
+            f"the response of {matrix.output_labels[o]!r} to {matrix.input_labels[i]!r} was not measured at any "
             f"frequency{more}; fit the inputs and outputs that were measured with one another, data[outputs, inputs]"
         )
 
@@ -958,8 +964,8 @@ class FreePath:
         self.seen: list[tuple[float, ComplexArray]] = []  # all so far: costs and poles
         self._shown: tuple[FreeModel, tuple[ComplexArray, Array]] | None = None
         largest = np.zeros(len(felt))
-        for one in search.data:
-            largest[one.outputs] = np.maximum(largest[one.outputs], one.largest)
+        for rows in search.data:
+            largest[rows.outputs] = np.maximum(largest[rows.outputs], rows.largest)
         largest = np.where(largest > 0, largest, largest.max())  # what is zero is so to the rounding of the others
         # real equations of each output, losses that are rounding, and the power of all
         counts = self._counted(self.plain)
@@ -979,32 +985,36 @@ class FreePath:
         """The search in channels, or what ends one whose best model is known."""
         first = channels[0]
         each = quantities or ["free"] * len(first.output_labels)
-        felt = np.array([one == "acceleration" for one in each])[:, None].repeat(len(first.input_labels), axis=1)
+        felt = np.array([quantity == "acceleration" for quantity in each])[:, None].repeat(
+            len(first.input_labels), axis=1
+        )
         if not isinstance(first, ResponseMatrix):
             held = "zoh" if intersample == "auto" else intersample
-            recordings = [one for one in channels if isinstance(one, Recording)]
+            recordings = [channel for channel in channels if isinstance(channel, Recording)]
             search: FreeSearch = Records(_records(recordings, held, offset, moving, method, delay))
             return cls(search, felt, criterion, reports, best, real_poles, noise, constant_open)
-        search = Responses(_responses([one for one in channels if isinstance(one, ResponseMatrix)], each, delay))
-        _refuse_unmeasured(first, np.concatenate([one.outputs for one in search.data]))
+        search = Responses(
+            _responses([channel for channel in channels if isinstance(channel, ResponseMatrix)], each, delay)
+        )
+        _refuse_unmeasured(first, np.concatenate([rows.outputs for rows in search.data]))
         return cls(search, felt.reshape(-1, 1), criterion, reports, best, real_poles)
 
     @property
     def delay(self) -> Array:
         """Time by which each output comes later than the response to the inputs."""
-        found = np.zeros(len(self.counts))
-        for one in self.search.data:
-            if one.inputs:
-                found[one.outputs] = one.delay_time
-        return found
+        delays = np.zeros(len(self.counts))
+        for rows in self.search.data:
+            if rows.inputs:
+                delays[rows.outputs] = rows.delay_time
+        return delays
 
     # --- likelihood
 
     def _counted(self, search: FreeSearch) -> Array:
         """Real equations of each output in some rows."""
         counts = np.zeros(len(self.felt))
-        for one in search.data:
-            counts[one.outputs] += one.samples
+        for rows in search.data:
+            counts[rows.outputs] += rows.samples
         return counts
 
     def drop_constants(self, losses: Array) -> None:
@@ -1031,12 +1041,12 @@ class FreePath:
         """Searches for modes with real shapes among responses of few points, without and with a background."""
         if not isinstance(self.search, Responses) or self.search.shows_background(_FEW_MODES):
             return []
-        if any(one.quantity == "free" for one in self.search.data):
+        if any(response.quantity == "free" for response in self.search.data):
             return []
-        rows = [replace(one, classical=True) for one in self.search.data]
+        rows = [replace(response, classical=True) for response in self.search.data]
         return [
             FreePath(Responses(each, False), self.felt, self.criterion, self.reports, None, 0)
-            for each in (rows, [one.beside_modes_outside() for one in rows])
+            for each in (rows, [response.beside_modes_outside() for response in rows])
         ]
 
     def add_terms(self, rows: Sequence[FreeResponse]) -> None:
@@ -1062,13 +1072,13 @@ class FreePath:
 
     def cost(self, model: FreeModel) -> float:
         """What the order is chosen by: the criterion, with noise of each output as coloured as it prefers."""
-        found = self.criteria(self.loglik(model.losses), self.search.unknowns_of(model.p)).by_name(self.criterion)
+        cost = self.criteria(self.loglik(model.losses), self.search.unknowns_of(model.p)).by_name(self.criterion)
         # what no mode explains yet is not taken for noise, nor is rounding
         if not (len(model.p) or model.innovations) or self.is_exact(model):
-            return found
+            return cost
         for count, noise in zip(self.counts, model.noise, strict=False):
-            found += past_of_noise(int(count), noise.variances, self._each)
-        return found
+            cost += past_of_noise(int(count), noise.variances, self._each)
+        return cost
 
     @property
     def _each(self) -> float:
@@ -1090,12 +1100,12 @@ class FreePath:
             return self.cost(model) - self.cost(more)
         rows = self.plain.whitened(past).data
         counts, likelihood = np.zeros(len(self.counts)), []
-        for one in rows:
-            counts[one.outputs] += one.samples
+        for record in rows:
+            counts[record.outputs] += record.samples
         for p in (model.p, more.p):
             losses = np.maximum(FreeProjection(rows, p).losses, self.floors)
             likelihood.append(-0.5 * float(np.sum(counts * np.log(losses / counts))))
-        unknowns = [self.search.unknowns_of(one.p) for one in (model, more)]
+        unknowns = [self.search.unknowns_of(candidate.p) for candidate in (model, more)]
         first, second = (
             Criteria.of(each, count, float(counts.sum())).by_name(self.criterion)
             for each, count in zip(likelihood, unknowns, strict=True)
@@ -1106,7 +1116,7 @@ class FreePath:
         """Of each output the innovations filter of the autoregression that the criterion prefers."""
         filters = [noise.innovations(int(count), self._each)
                    for count, noise in zip(self.counts, model.noise, strict=False)]  # fmt: skip
-        return tuple(filters) if any(len(one) > 1 for one in filters) else ()
+        return tuple(filters) if any(len(coefficients) > 1 for coefficients in filters) else ()
 
     def in_its_noise(self, model: FreeModel) -> FreeModel:
         """A model refined in rows in which its own noise is white, until both agree."""
@@ -1146,46 +1156,52 @@ class FreePath:
         """Modes refined from a start, over the bins about them; outputs are weighted by what is left then."""
         rows, region, report = self.scaled.rows, self.scaled.region, self.report(max(1, _modes(p)))
         try:
-            at = refine_free(rows, p, region, rtol, last=False, steps=_STEPS, progress=report)
+            projection = refine_free(rows, p, region, rtol, last=False, steps=_STEPS, progress=report)
         except Interrupted as cut:
             p = Sections.from_coordinates(cut.x).p
             self.judged(FreeProjection(rows(p), p))
             raise
-        return self.judged(at)
+        return self.judged(projection)
 
-    def judged(self, at: FreeProjection) -> FreeModel:
+    def judged(self, projection: FreeProjection) -> FreeModel:
         """Modes with what they leave, entered into the table."""
-        found, n = self.scaled.model(at), _modes(at.p)
-        found = replace(found, losses=self.in_data(found.losses))
-        one = self.criteria(self.loglik(found.losses), self._unknowns_of(at.p))
-        if n not in self.table or self.table[n].loglik < one.loglik:
-            self.table[n] = FreeOrder(**vars(one), order=n, poles=at.p[at.p.imag > 0][np.argsort(at.d[at.p.imag > 0])])
-        cost = self.cost(found)
-        self.seen.append((cost, at.p))
+        model, n = self.scaled.model(projection), _modes(projection.p)
+        model = replace(model, losses=self.in_data(model.losses))
+        criteria = self.criteria(self.loglik(model.losses), self._unknowns_of(projection.p))
+        if n not in self.table or self.table[n].loglik < criteria.loglik:
+            self.table[n] = FreeOrder(
+                **vars(criteria),
+                order=n,
+                poles=projection.p[projection.p.imag > 0][np.argsort(projection.d[projection.p.imag > 0])],
+            )
+        cost = self.cost(model)
+        self.seen.append((cost, projection.p))
         if self.best is None or cost < self.cost(self.best):
-            self.best = found
-        return found
+            self.best = model
+        return model
 
     def _unknowns_of(self, p: ComplexArray) -> int:
         """Unknowns of a model with these poles, and of the noise that the rows are made white by."""
-        return self.search.unknowns_of(p) + sum(len(one) - 1 for one in getattr(self.search, "innovations", ()))
+        return self.search.unknowns_of(p) + sum(
+            len(coefficients) - 1 for coefficients in getattr(self.search, "innovations", ())
+        )
 
     def report(self, n: int) -> Progress | None:
-        """What is told of the iterations of n modes, the mean of the squared rows in a common unit of noise."""
-        told = self.reports(n)
-        if told is None:
+        """What reports the iterations for n modes: their mean squared residual in a common unit of noise."""
+        progress = self.reports(n)
+        if progress is None:
             return None
         unit = float(np.exp(-2 * np.sum(self.counts * np.log(self.sizes)) / self.counts.sum()))
-        return lambda iteration, loss: told(iteration, unit * loss)
+        return lambda iteration, loss: progress(iteration, unit * loss)
 
-    def residues(self, at: FreeProjection, channels: Experiments) -> ComplexArray:
+    def residues(self, projection: FreeProjection, channels: Experiments) -> ComplexArray:
         """Residues in the units of the data, shape (n, p, m); without inputs motions in the experiments."""
-        n, p, m = len(at.p), len(channels[0].output_labels), len(channels[0].input_labels)
+        n, p, m = len(projection.p), len(channels[0].output_labels), len(channels[0].input_labels)
         if m:
-            return np.asarray(at.residues / self.sizes[:, None]).reshape(n, p, m)
+            return np.asarray(projection.residues / self.sizes[:, None]).reshape(n, p, m)
         motions = np.zeros((n, p, len(channels)), complex)
-        measured, done = np.cumsum([int(one.observed.any(axis=-1).sum()) for one in channels]), 0
-        for rows, own in zip(at.experiments, at.own, strict=True):
+        measured, done = np.cumsum([int(channel.observed.any(axis=-1).sum()) for channel in channels]), 0
+        for rows, own in zip(projection.experiments, projection.own, strict=True):
             place = int(np.searchsorted(measured, done, side="right"))
             motions[:, rows.outputs, place] = (own[:n] + 1j * own[n : 2 * n]) / self.sizes[rows.outputs]
             done += len(rows.outputs)
@@ -1233,14 +1249,16 @@ class FreePath:
         if peaks or not (automatic and self.real_poles in ("auto", 0) and self._coloured(model)):
             return model
         # noise of a model that is too small has what this lacks: in its rows others are looked for, and from nothing
-        found = [self.in_its_noise(model)]
+        models = [self.in_its_noise(model)]
         if self.real_poles == "auto":
-            found.append(self._in_rows(found[0].p, most, automatic))
-        return min([*found, self._joint(start, most, automatic)], key=self.cost)
+            models.append(self._in_rows(models[0].p, most, automatic))
+        return min([*models, self._joint(start, most, automatic)], key=self.cost)
 
     def _coloured(self, model: FreeModel) -> bool:
         """Whether the criterion prefers coloured noise, of records in which something acts all along."""
-        driven = isinstance(self.plain, Records) and all(one.inputs and not is_short(one) for one in self.plain.data)
+        driven = isinstance(self.plain, Records) and all(
+            record.inputs and not is_short(record) for record in self.plain.data
+        )
         return driven and bool(self._past_of_noise(model)) and not np.any(model.losses <= self.floors)
 
     def _joint(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
@@ -1251,7 +1269,7 @@ class FreePath:
         return self.in_its_noise(self.improved(model, most, automatic))
 
     def _in_rows(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
-        """The same in the rows there are."""
+        """The model of an order, or of that which the criterion prefers, in the noise of the present rows."""
         model = self.improved(self.grown(start, most, automatic), most, automatic)
         other = self.likelier(model, most) if automatic else None
         if other is not None:
@@ -1265,7 +1283,7 @@ class FreePath:
         Where what is left is no noise, as of plants that are not quite linear, the way of a search depends on rounding.
         """
         limit = self.cost(model) - TUNING.likelier * float(self.counts.sum())
-        for cost, p in sorted(self.seen, key=lambda one: one[0]):
+        for cost, p in sorted(self.seen, key=lambda pair: pair[0]):
             if cost > limit:
                 break
             if _modes(p) <= most and np.all(np.abs(p.real) <= TUNING.broadest * np.abs(p)):
@@ -1275,14 +1293,15 @@ class FreePath:
         return None
 
     def improved(self, model: FreeModel, most: int, automatic: bool) -> FreeModel:
-        """The same once some of its modes have been looked for elsewhere, and of an order that is chosen, dropped."""
+        """A model with weak modes relocated and, of an order that is chosen, needless ones dropped."""
         best = self.relocated(model, automatic, most)
         return self.patched(self.pruned(best), most) if automatic else best
 
     def grown(
-        self, start: ComplexArray, most: int, automatic: bool, after: Callable[[FreeModel], FreeModel] = lambda one: one
-    ) -> FreeModel:
-        """The same where no mode that has joined is doubted; `after` each step models may be changed."""
+        self, start: ComplexArray, most: int, automatic: bool,
+        after: Callable[[FreeModel], FreeModel] = lambda model: model,
+    ) -> FreeModel:  # fmt: skip
+        """A model that modes join as long as the criterion prefers it; none is doubted, `after` changes each model."""
         model = after(self.reweighted(self.model(start)))
         best, missed = model, 0
         while missed < TUNING.patience and not self.is_exact(model):
@@ -1330,7 +1349,7 @@ class FreePath:
         fast = np.any(more.p[more.p.imag == 0].real < -_FASTEST * self.search.region.ceiling)
         if joint:
             return None if fast else more
-        before, after = (float(np.sum(one.losses * self.sizes**2)) for one in (model, more))
+        before, after = (float(np.sum(candidate.losses * self.sizes**2)) for candidate in (model, more))
         shown = self._stands_out(model, before - after, self.search.unknowns_of(more.p) - now)
         return more if shown and not fast and self.gain(more, model) > 2 * TUNING.sure else None
 
@@ -1393,41 +1412,43 @@ class FreePath:
     def cleaned(self, model: FreeModel, lags: int = 0) -> FreeModel:
         """A model without its modes that are none of the plant."""
         while len(model.p) and not self.is_sound(model, lags):
-            at = model.projection
+            projection = model.projection
             # what several channels see of a pair changes as others go
-            alone = len(self.counts) * max(1, at.inputs) == 1
-            worst = patching(at, self.search.crowding)[: None if alone else 1]
+            alone = len(self.counts) * max(1, projection.inputs) == 1
+            worst = patching(projection, self.search.crowding)[: None if alone else 1]
             if not worst:
-                broad = np.where(_broad(at.p), np.abs(at.sigma) / np.where(at.d > 0, at.d, 1.0), 0.0)
-                worst = [int(np.argmax(broad) if broad.any() else np.argmin(at.sigma))]
-            model = self.model(np.delete(at.p, worst))
+                broad = np.where(
+                    _broad(projection.p), np.abs(projection.sigma) / np.where(projection.d > 0, projection.d, 1.0), 0.0
+                )
+                worst = [int(np.argmax(broad) if broad.any() else np.argmin(projection.sigma))]
+            model = self.model(np.delete(projection.p, worst))
         return model
 
-    def growing(self, at: FreeProjection, evidence: Callable[[], Array]) -> Mask:
+    def growing(self, projection: FreeProjection, evidence: Callable[[], Array]) -> Mask:
         """Modes that grow and are broad, or no large part of any motion: they patch records that are not stationary."""
-        found = (at.p.imag > 0) & (at.sigma < -_GROWING * self.decay_errors(at))
-        if found.any():
+        growing = (projection.p.imag > 0) & (projection.sigma < -_GROWING * self.decay_errors(projection))
+        if growing.any():
             large = _LARGE * float(np.sum(self.power * self.sizes**2))
-            found &= (at.sigma < -TUNING.broadest * at.d) | (evidence() < large)
-        return found
+            growing &= (projection.sigma < -TUNING.broadest * projection.d) | (evidence() < large)
+        return growing
 
     def grows(self, model: FreeModel) -> bool:
-        """Whether there are such modes."""
+        """Whether a model has modes as in `growing`."""
         return bool(self.growing(model.projection, lambda: self.evidence(model)).any())
 
     def is_white(self, model: FreeModel) -> bool:
         """Whether what is left of each output may be white noise."""
-        found = []
+        p_values = []
         for output in range(len(self.counts)):
             parts: list[Array] = []
             if isinstance(self.search, Records):
-                for one, left in zip(self.search.data, model.residuals, strict=True):
-                    parts += [np.fft.irfft(row, one.length) for row in left[one.outputs == output]]
+                for record, residuals in zip(self.search.data, model.residuals, strict=True):
+                    parts += [np.fft.irfft(row, record.length) for row in residuals[record.outputs == output]]
             else:
-                for rows, left in zip(self.search.data, model.residuals, strict=True):
-                    parts += [part for row in left[rows.outputs == output] for part in (row.real, row.imag)]
-            found.append(ljung_box(parts, TUNING.lags))
-        return min(found) * len(found) >= TUNING.white
+                for rows, residuals in zip(self.search.data, model.residuals, strict=True):
+                    parts += [part for row in residuals[rows.outputs == output] for part in (row.real, row.imag)]
+            p_values.append(ljung_box(parts, TUNING.lags))
+        return min(p_values) * len(p_values) >= TUNING.white
 
     def relocated(self, model: FreeModel, sound: bool, most: int) -> FreeModel:
         """The weakest modes exchanged for what stands out of the rest, as long as that is likelier."""
@@ -1451,10 +1472,10 @@ class FreePath:
         """How much the loss would grow without each mode."""
         return FreeProjection(self.scaled.rows(model.p), model.p).evidence
 
-    def decay_errors(self, at: FreeProjection) -> Array:
+    def decay_errors(self, projection: FreeProjection) -> Array:
         """Standard errors of the decay rates."""
-        n = len(at.p)
-        inner = at.covariance(at.loss / max(1, at.rows - self.search.unknowns_of(at.p)))
+        n = len(projection.p)
+        inner = projection.covariance(projection.loss / max(1, projection.rows - self.search.unknowns_of(projection.p)))
         return np.sqrt(np.maximum(np.diag(inner)[n : 2 * n], 0.0))  # rounding may make them negative
 
     def vagueness(self, model: FreeModel) -> Array:
@@ -1505,30 +1526,30 @@ class FreePath:
         where something is fed through: then the likelier comes first.  Of a search that is interrupted the best so far,
         if it has a mode.
         """
-        found: FreeFit | None = None
+        fit: FreeFit | None = None
         try:
             if self.best is None:
                 self.best = self.chosen(start, most, automatic)
                 beside = self.beside_further_terms(most, automatic)
                 if beside is not None:
                     return beside.fit(start, most, automatic, channels, either_hold=either_hold)
-            found = self.finished(self.best, channels, automatic)
-            if not (either_hold and isinstance(self.plain, Records) and found.states and found.projection.inputs):
-                return found
-            held_otherwise = cache(partial(self._held_otherwise, found, self.best, self.plain, channels, automatic))
-            found = replace(found, held_otherwise=held_otherwise)
-            if found.projection.fed is not None and not found.projection.fed.any():
-                return found
+            fit = self.finished(self.best, channels, automatic)
+            if not (either_hold and isinstance(self.plain, Records) and fit.states and fit.projection.inputs):
+                return fit
+            held_otherwise = cache(partial(self._held_otherwise, fit, self.best, self.plain, channels, automatic))
+            fit = replace(fit, held_otherwise=held_otherwise)
+            if fit.projection.fed is not None and not fit.projection.fed.any():
+                return fit
             rival = held_otherwise()
         except KeyboardInterrupt:
-            if found is not None:
-                return replace(found, interrupted=True, held_otherwise=None)
+            if fit is not None:
+                return replace(fit, interrupted=True, held_otherwise=None)
             if self.best is None or not len(self.best.p):
                 raise
             return self.finished(self.best, channels, interrupted=True)
-        if found.criteria.bic - rival.criteria.bic > 2 * TUNING.sure:
-            return replace(rival, held_otherwise=cache(lambda: found))
-        return found
+        if fit.criteria.bic - rival.criteria.bic > 2 * TUNING.sure:
+            return replace(rival, held_otherwise=cache(lambda: fit))
+        return fit
 
     def _held_otherwise(
         self, fit: FreeFit, model: FreeModel, plain: Records, channels: Sequence[Any], automatic: bool
@@ -1548,30 +1569,30 @@ class FreePath:
         then the poles stay as they are.
         """
         self.whiten(model.innovations, model.losses)
-        at, losses = self.settled(model.p, None, interrupted)
-        while automatic and (needless := self.needless(at)) is not None:
-            at, losses = self.settled(np.delete(at.p, needless), None, False)
+        projection, losses = self.settled(model.p, None, interrupted)
+        while automatic and (needless := self.needless(projection)) is not None:
+            projection, losses = self.settled(np.delete(projection.p, needless), None, False)
         fed: Mask | None = None
-        if at.has_feedthrough and not self.felt.all():
-            fed = self.felt | self.stands_out(at)
+        if projection.has_feedthrough and not self.felt.all():
+            fed = self.felt | self.stands_out(projection)
             if not fed.all():
-                at, losses = self.settled(at.p, fed, interrupted)
+                projection, losses = self.settled(projection.p, fed, interrupted)
         if self.constant_open and not interrupted:
             constants = sum(len(rows.outputs) for rows in self.search.data)
-            if _evidence_of_constants(at) < max(2 * TUNING.likely, constants * np.log(at.rows)):
+            if _evidence_of_constants(projection) < max(2 * TUNING.likely, constants * np.log(projection.rows)):
                 self.drop_constants(losses)
-                at, losses = self.settled(at.p, fed, False)
-        at, losses = self.on_simplest_background(at, losses, fed, interrupted)
-        rank = np.argsort(at.d)
-        at = FreeProjection(at.experiments, at.p[rank], fed)
-        unknowns = self._unknowns_of(at.p) - (0 if fed is None else int(np.sum(~fed)))
+                projection, losses = self.settled(projection.p, fed, False)
+        projection, losses = self.on_simplest_background(projection, losses, fed, interrupted)
+        rank = np.argsort(projection.d)
+        projection = FreeProjection(projection.experiments, projection.p[rank], fed)
+        unknowns = self._unknowns_of(projection.p) - (0 if fed is None else int(np.sum(~fed)))
         table = tuple(self.table[n] for n in sorted(self.table))
         criteria = self.criteria(self.loglik(losses), unknowns)
         rounding = bool(np.any(losses <= self.floors))
-        measured = FreeProjection(self.plain.scaled(self.sizes).data, at.p, fed) if model.innovations else None
+        measured = FreeProjection(self.plain.scaled(self.sizes).data, projection.p, fed) if model.innovations else None
         return FreeFit(
-            at, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding, interrupted,
-            measured=measured, noise=model.innovations, delay=self.delay,
+            projection, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding,
+            interrupted, measured=measured, noise=model.innovations, delay=self.delay,
         )  # fmt: skip
 
     def beside_further_terms(self, most: int, automatic: bool) -> FreePath | None:
@@ -1588,21 +1609,21 @@ class FreePath:
         path = FreePath(search, self.felt, self.criterion, self.reports, None, self.real_poles)
         path.weigh(self.best.losses)
         model = path.model(modes, TUNING.rough)
-        at, _ = path.on_simplest_background(model.projection, model.losses, None, True)
+        projection, _ = path.on_simplest_background(model.projection, model.losses, None, True)
         limit = self.cost(self.best) - 2 * TUNING.sure
-        left = path.search.terms if isinstance(path.search, Responses) else []
-        if not set(left) - set(self.search.terms) or path.cost(path.judged(at)) > limit:
+        remaining_terms = path.search.terms if isinstance(path.search, Responses) else []
+        if not set(remaining_terms) - set(self.search.terms) or path.cost(path.judged(projection)) > limit:
             return None
-        path.best = path.chosen(at.p, most, automatic)
+        path.best = path.chosen(projection.p, most, automatic)
         return path if path.cost(path.best) <= limit else None
 
     def on_simplest_background(
-        self, at: FreeProjection, losses: Array, fed: Mask | None, as_it_is: bool
+        self, projection: FreeProjection, losses: Array, fed: Mask | None, as_it_is: bool
     ) -> tuple[FreeProjection, Array]:
         """The minimum without the terms of the background that the criterion does not ask for."""
         while isinstance(self.search, Responses) and self.search.terms:
-            variance = at.rows / max(1, at.rows - self.search.unknowns_of(at.p))
-            gains = term_gains(at, variance)
+            variance = projection.rows / max(1, projection.rows - self.search.unknowns_of(projection.p))
+            gains = term_gains(projection, variance)
             # what a parameter costs by the criterion, in squares of standard errors
             less, more = (self.criteria(0.0, k).by_name(self.criterion) for k in (0, 1))
             each = more - less
@@ -1612,40 +1633,43 @@ class FreePath:
                 break
             self.search = self.search.without_term(weakest)
             self.weigh(losses)
-            at, losses = self.settled(at.p, fed, as_it_is)
-        return at, losses
+            projection, losses = self.settled(projection.p, fed, as_it_is)
+        return projection, losses
 
     def settled(self, p: ComplexArray, fed: Mask | None, as_it_is: bool) -> tuple[FreeProjection, Array]:
         """The minimum over all data, with the variances that belong to it; and the losses of outputs."""
         before, alone = -np.inf, as_it_is or len(self.counts) == 1
         if as_it_is:
-            at = FreeProjection(self.scaled.data, p, fed)
+            projection = FreeProjection(self.scaled.data, p, fed)
         else:
-            at = self.refined(p, _EXACT if alone else TUNING.rough, fed)
+            projection = self.refined(p, _EXACT if alone else TUNING.rough, fed)
         for _ in range(_ROUNDS):
-            losses = self.in_data(at.losses)
+            losses = self.in_data(projection.losses)
             now = self.loglik(losses)
             self.weigh(losses)
-            at = self.refined(at.p, _EXACT, fed) if not alone else FreeProjection(self.scaled.data, at.p, fed)
+            if alone:
+                projection = FreeProjection(self.scaled.data, projection.p, fed)
+            else:
+                projection = self.refined(projection.p, _EXACT, fed)
             if alone or now - before <= _SETTLED * max(1.0, abs(now)) / len(losses):
                 break
             before = now
-        return at, losses
+        return projection, losses
 
-    def needless(self, at: FreeProjection) -> int | None:
+    def needless(self, projection: FreeProjection) -> int | None:
         """A mode that is none of the plant, or without which the criterion is better, of a minimum over all data."""
-        n = len(at.p)
+        n = len(projection.p)
         if not n:
             return None
-        if self.growing(at, lambda: at.evidence).any():
-            return int(np.argmin(at.sigma))
-        weakest = int(np.argmin(np.where(self._kept(at.p), np.inf, at.evidence)))
-        if self._kept(at.p)[weakest]:
+        if self.growing(projection, lambda: projection.evidence).any():
+            return int(np.argmin(projection.sigma))
+        weakest = int(np.argmin(np.where(self._kept(projection.p), np.inf, projection.evidence)))
+        if self._kept(projection.p)[weakest]:
             return None
-        lost = 0.5 * at.rows * float(np.log1p(at.evidence[weakest] / at.loss))
+        lost = 0.5 * projection.rows * float(np.log1p(projection.evidence[weakest] / projection.loss))
         with_it, without = (
             self.criteria(loglik, self.search.unknowns_of(p)).by_name(self.criterion)
-            for loglik, p in ((0.0, at.p), (-lost, np.delete(at.p, weakest)))
+            for loglik, p in ((0.0, projection.p), (-lost, np.delete(projection.p, weakest)))
         )
         return weakest if without <= with_it else None
 
@@ -1654,27 +1678,28 @@ class FreePath:
         data, region = self.scaled.data, self.scaled.region
         return refine_free(lambda _: data, p, region, rtol, fed, progress=self.report(max(1, _modes(p))))
 
-    def stands_out(self, at: FreeProjection) -> Mask:
+    def stands_out(self, projection: FreeProjection) -> Mask:
         """Which of all that may be fed through is more than its error shows."""
-        n, width = len(at.p), 2 * len(at.p) + 1
-        variances = np.diag(at.covariance(at.rows / max(1, at.rows - self.search.unknowns_of(at.p))))[2 * n :]
+        n, width = len(projection.p), 2 * len(projection.p) + 1
+        variance = projection.rows / max(1, projection.rows - self.search.unknowns_of(projection.p))
+        variances = np.diag(projection.covariance(variance))[2 * n :]
         errors = np.sqrt(np.maximum(variances, 0.0))
-        errors = errors.reshape(len(at.feedthrough), at.inputs, width)[:, :, -1]
-        return np.asarray(np.abs(at.feedthrough) > TUNING.fed_through * errors)
+        errors = errors.reshape(len(projection.feedthrough), projection.inputs, width)[:, :, -1]
+        return np.asarray(np.abs(projection.feedthrough) > TUNING.fed_through * errors)
 
 
-def term_gains(at: FreeProjection, variance: float) -> dict[Term, tuple[float, int]]:
+def term_gains(projection: FreeProjection, variance: float) -> dict[Term, tuple[float, int]]:
     """Squares of the terms of backgrounds of responses over their variances, and how many numbers each is, in all."""
-    found: dict[Term, tuple[float, int]] = {}
-    covariance = at.covariance(variance)
-    for k, rows in enumerate(at.experiments):
+    gains: dict[Term, tuple[float, int]] = {}
+    covariance = projection.covariance(variance)
+    for k, rows in enumerate(projection.experiments):
         if isinstance(rows, FreeResponse) and rows.terms:
-            spread = np.array([np.diag(inner) for inner, _ in at.own_covariances(k, covariance, variance)]).T
-            squares = at.own[k] ** 2 / np.where(spread > 0, spread, np.inf)
+            spread = np.array([np.diag(inner) for inner, _ in projection.own_covariances(k, covariance, variance)]).T
+            squares = projection.own[k] ** 2 / np.where(spread > 0, spread, np.inf)
             for term, each in zip(rows.terms, squares, strict=True):
-                gain, count = found.get(term, (0.0, 0))
-                found[term] = gain + float(each.sum()), count + len(each)
-    return found
+                gain, count = gains.get(term, (0.0, 0))
+                gains[term] = gain + float(each.sum()), count + len(each)
+    return gains
 
 
 def _same_filters(first: tuple[Array, ...], second: tuple[Array, ...]) -> bool:
@@ -1703,33 +1728,33 @@ def _broad(p: ComplexArray) -> Mask:
     return (p.imag > 0) & (np.abs(p.real) > TUNING.broadest * np.abs(p))
 
 
-def patching(at: FreeProjection, distance: float) -> list[int]:
+def patching(projection: FreeProjection, distance: float) -> list[int]:
     """The weaker mode of each pair that is too close, the closest first, no mode in two of them.
 
     Two modes that all channels see in different proportions may be as close as they like.
     """
-    d, half_width = at.d, np.abs(at.sigma)
+    d, half_width = projection.d, np.abs(projection.sigma)
     apart = np.abs(d[:, None] - d) / (distance + half_width[:, None] + half_width)
-    apart[~_alike(at)] = np.inf
-    lag = (at.p.imag == 0) | _broad(at.p)
+    apart[~_alike(projection)] = np.inf
+    lag = (projection.p.imag == 0) | _broad(projection.p)
     apart[lag] = apart[:, lag] = np.inf
     np.fill_diagonal(apart, np.inf)
-    found, taken = list[int](), set[int]()
+    weaker, taken = list[int](), set[int]()
     for place in np.argsort(apart, axis=None, kind="stable")[: np.count_nonzero(apart < 1)].tolist():
         pair = divmod(place, len(d))
         if not taken & set(pair):
             taken |= set(pair)
             # of a pair that mends one peak the broader is the patch
-            found.append(max(reversed(pair), key=lambda k: half_width[k]))
-    return found
+            weaker.append(max(reversed(pair), key=lambda k: half_width[k]))
+    return weaker
 
 
-def _alike(at: FreeProjection) -> Mask:
+def _alike(projection: FreeProjection) -> Mask:
     """Which pairs of modes have the same shape in all channels, by the modal assurance criterion."""
-    n = len(at.p)
-    shapes = at.residues.reshape(n, -1)
-    if not at.inputs:
-        shapes = np.concatenate([own[:n] + 1j * own[n : 2 * n] for own in at.own], axis=1)
+    n = len(projection.p)
+    shapes = projection.residues.reshape(n, -1)
+    if not projection.inputs:
+        shapes = np.concatenate([own[:n] + 1j * own[n : 2 * n] for own in projection.own], axis=1)
     if shapes.shape[1] == 1:
         return np.ones((n, n), bool)
     power = np.sum(np.abs(shapes) ** 2, axis=1)
@@ -1737,14 +1762,14 @@ def _alike(at: FreeProjection) -> Mask:
     return np.abs(shapes.conj() @ shapes.T) ** 2 >= TUNING.same_shape * np.where(products > 0, products, 1.0)
 
 
-def _together(at: FreeProjection, p: ComplexArray, gains: Array, width: float, most: int) -> ComplexArray:
+def _together(projection: FreeProjection, p: ComplexArray, gains: Array, width: float, most: int) -> ComplexArray:
     """Candidates that may join at once: the strongest, and those nearly as strong far from it and from one another."""
     chosen = [complex(p[0])]
-    for one, gain in zip(p[1:].tolist(), gains[1:].tolist(), strict=True):
+    for pole, gain in zip(p[1:].tolist(), gains[1:].tolist(), strict=True):
         if len(chosen) == most or gain < TUNING.nearly_as_strong * gains[0] or not gain:
             break
-        others = np.append(at.p, chosen)
-        apart = TUNING.together_apart * width + np.nan_to_num(np.abs(others.real)) + abs(one.real)
-        if np.all(np.abs(others.imag - one.imag) > apart):
-            chosen.append(one)
+        others = np.append(projection.p, chosen)
+        apart = TUNING.together_apart * width + np.nan_to_num(np.abs(others.real)) + abs(pole.real)
+        if np.all(np.abs(others.imag - pole.imag) > apart):
+            chosen.append(pole)
     return np.array(chosen)

@@ -251,12 +251,12 @@ def order_selection(
     _checks.flag_or_auto("offset", offset)
     refuse_still(channels, moving)
 
-    def posed(channels: Any, reports: Any = lambda order: None) -> FreePath:
+    def path_for(channels: Any, reports: Any = lambda order: None) -> FreePath:
         return FreePath.of(
             channels, quantities, hold, int(bool(offset)), moving, "bic", reports, method=method
         )  # fmt: skip
 
-    path = posed(channels)
+    path = path_for(channels)
     wanted = _wanted(orders, path)
     path.check(wanted[-1])
     path.reports = reporter(wanted[-1], callback)
@@ -284,7 +284,7 @@ def order_selection(
             path.check(wanted[-1])
             path.through_orders(start, wanted[-1])
 
-        errors = errors_ahead(channels, posed, part, searched, [row.order for row in chosen])
+        errors = errors_ahead(channels, path_for, part, searched, [row.order for row in chosen])
         ahead = int(max(counts.sum() for _, counts in errors.values()))
         if not ahead:
             raise IdentificationError("there are no observed outputs in what is held out; hold out more")

@@ -65,37 +65,37 @@ class NoiseLaw:
 
 def balanced(responses: Sequence[ComplexArray]) -> list[Array]:
     """Weights between those of constant noise and of noise in proportion to the gain, of responses (..., K)."""
-    squares = [np.abs(one) ** 2 for one in responses]
+    squares = [np.abs(response) ** 2 for response in responses]
     middle = np.nanmedian(np.concatenate(squares, axis=-1), axis=-1, keepdims=True)
-    return [1.0 / np.maximum(one + middle, np.finfo(float).tiny) for one in squares]
+    return [1.0 / np.maximum(square + middle, np.finfo(float).tiny) for square in squares]
 
 
-def entry_laws(at: FreeProjection) -> tuple[list[tuple[NoiseLaw, float]], bool]:
+def entry_laws(projection: FreeProjection) -> tuple[list[tuple[NoiseLaw, float]], bool]:
     """Law of the noise of each entry of responses about damped modes, and how much likelier it is than a constant.
 
-    Then whether no point draws the modes through itself, so that all tell of their noise.
+    Then whether no point has so much leverage that it draws the modes through itself: all residuals show noise.
     """
-    every = [one for one in at.experiments if isinstance(one, FreeResponse)]
-    steps = [1 + len(one.omega) // _MANY for one in every]
-    search = Responses([one.every(step) for one, step in zip(every, steps, strict=True)])
-    parts: list[list[_Points]] = [[] for _ in range(at.shared.shape[1])]
-    for rows, left, step in zip(search.data, search.residuals(at), steps, strict=True):
-        q, slopes = len(rows.outputs), 2 * len(at.p)
-        columns = next(rows.at(at.p).blocks())[:-q]
+    every = [response for response in projection.experiments if isinstance(response, FreeResponse)]
+    steps = [1 + len(response.omega) // _MANY for response in every]
+    search = Responses([response.every(step) for response, step in zip(every, steps, strict=True)])
+    parts: list[list[_Points]] = [[] for _ in range(projection.shared.shape[1])]
+    for rows, residuals, step in zip(search.data, search.residuals(projection), steps, strict=True):
+        q, slopes = len(rows.outputs), 2 * len(projection.p)
+        columns = next(rows.at(projection.p).blocks())[:-q]
         # poles are fitted to all entries, of which each feels its share
         alone, together = _spare(columns[:-slopes]), _spare(columns)
         spare = 1 - (1 - alone - (together - alone) / len(parts)) / step  # of all points each takes less
-        for output, each, target in zip(rows.outputs.tolist(), left, rows.target, strict=True):
-            parts[output].append(_points(each, target, rows.weight, spare))
-    free = all(spare.min(initial=1.0) > _FREE for one in parts for _, spare, _ in one)
-    return [_likeliest(one, len(parts)) for one in parts], free
+        for output, residual, target in zip(rows.outputs.tolist(), residuals, rows.target, strict=True):
+            parts[output].append(_points(residual, target, rows.weight, spare))
+    free = all(spare.min(initial=1.0) > _FREE for entry in parts for _, spare, _ in entry)
+    return [_likeliest(entry, len(parts)) for entry in parts], free
 
 
 _Points = tuple[Array, Array, Array]  # squares of what is left, share of the noise that it has, and gain
 
 
-def _points(left: ComplexArray, target: ComplexArray, weight: Array, spare: Array) -> _Points:
-    return np.abs(left / weight) ** 2, spare, np.abs(target - left) / weight
+def _points(residual: ComplexArray, target: ComplexArray, weight: Array, spare: Array) -> _Points:
+    return np.abs(residual / weight) ** 2, spare, np.abs(target - residual) / weight
 
 
 def _likeliest(parts: Sequence[_Points], entries: int = 1) -> tuple[NoiseLaw, float]:
@@ -143,7 +143,7 @@ def _law(squares: Array, spare: Array, power: Array, by_chance: float) -> tuple[
     constant, level = fitted(np.ones(len(power)))
     ends = np.log([1e-3 * max(power.min(), 1e-16 * power.max()), 1e3 * power.max()])
     tried = np.linspace(ends[0], ends[1], _RATIOS)
-    best, before = int(np.argmin([cost(one, 1 + len(power) // _SOME) for one in tried])), -1
+    best, before = int(np.argmin([cost(log_ratio, 1 + len(power) // _SOME) for log_ratio in tried])), -1
     while best != before:  # over all points
         near = np.arange(max(0, best - 1), min(_RATIOS, best + 2))
         before, best = best, int(near[np.argmin([cost(tried[k]) for k in near])])

@@ -406,9 +406,7 @@ def nearest_passive_fit(
     )
     if point is None:
         near = classical()
-        point = made_passive(
-            projection, layout, near.projection, unknowns - near.parameters, near.covariance / variance
-        )
+        point = made_passive(near.projection, layout, unknowns - near.parameters, near.covariance / variance)
     data, parameters = point.data, unknowns - point.active
     return StructuredFit(
         "passive", STRUCTURES["passive"], data.p, *layout.split(data.shared, len(data.p)), None, None, data.loss,
