@@ -162,7 +162,7 @@ def carts(samples=1000, h=0.1, push=1.0, seed=0):
 
 
 @pytest.mark.parametrize("structure", ["lossless", "auto"])
-@pytest.mark.parametrize("seed", [1, 2, 5])
+@pytest.mark.parametrize("seed", [1, 2, 4])
 def test_a_cart_that_rolls_beside_a_mode_is_lossless(structure, seed):
     result = phc.pem(carts(seed=seed, push=0.5 * seed), dt=0.1, structure=structure)
     assert result.structure == "lossless" and result.outcome.name == "CONSISTENT"

@@ -1578,10 +1578,7 @@ class FreePath:
             if not fed.all():
                 projection, losses = self.settled(projection.p, fed, interrupted)
         if self.constant_open and not interrupted:
-            constants = sum(len(rows.outputs) for rows in self.search.data)
-            if _evidence_of_constants(projection) < max(2 * TUNING.likely, constants * np.log(projection.rows)):
-                self.drop_constants(losses)
-                projection, losses = self.settled(projection.p, fed, False)
+            projection, losses = self.without_needless_constants(projection, losses, fed)
         projection, losses = self.on_simplest_background(projection, losses, fed, interrupted)
         rank = np.argsort(projection.d)
         projection = FreeProjection(projection.experiments, projection.p[rank], fed)
@@ -1594,6 +1591,28 @@ class FreePath:
             projection, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding,
             interrupted, measured=measured, noise=model.innovations, delay=self.delay,
         )  # fmt: skip
+
+    def without_needless_constants(
+        self, projection: FreeProjection, losses: Array, fed: Mask | None
+    ) -> tuple[FreeProjection, Array]:
+        """The minimum without constants of the outputs, unless these stand out; with what it leaves of the outputs.
+
+        Beside an integrator, or what is nearly one, a constant is the same as its initial state, and its own error says
+        nothing: what it explains is seen without it.
+        """
+        constants = sum(len(rows.outputs) for rows in self.search.data)
+        least = max(2 * TUNING.likely, constants * np.log(projection.rows))
+        weak = _evidence_of_constants(projection) < least
+        if not weak and not np.any(np.abs(projection.p) < self.scaled.region.bin):
+            return projection, losses
+        kept = self.plain, self.search
+        self.drop_constants(losses)
+        level, level_losses = self.settled(projection.p, fed, False)
+        if weak or 2 * (self.loglik(losses) - self.loglik(level_losses)) < least:
+            return level, level_losses
+        self.plain, self.search = kept
+        self.weigh(losses)
+        return projection, losses
 
     def beside_further_terms(self, most: int, automatic: bool) -> FreePath | None:
         """The search among responses on a background of further terms, where these explain more than real poles do."""
