@@ -44,26 +44,26 @@ def blocks(samples: int, rows: int = 1) -> Iterator[slice]:
         yield slice(first, min(first + size, samples))
 
 
-def _size(one: InTime, numbers: int = LONG) -> int:
+def _size(record: InTime, numbers: int = LONG) -> int:
     """Samples that have so many numbers."""
-    channels = one.u.size // max(1, one.samples) + one.y.size // max(1, one.samples)
+    channels = record.u.size // max(1, record.samples) + record.y.size // max(1, record.samples)
     return max(2, numbers // max(1, channels))
 
 
 def is_long(records: Sequence[CheckedData]) -> bool:
     """Whether modes are looked for in a part of the samples only."""
-    return any(isinstance(one, InTime) and one.samples > _size(one) for one in records)
+    return any(isinstance(record, InTime) and record.samples > _size(record) for record in records)
 
 
-def searched_part(one: CheckedData, from_rest: bool = False, numbers: int = LONG) -> slice:
+def searched_part(record: CheckedData, from_rest: bool = False, numbers: int = LONG) -> slice:
     """Samples in which modes are looked for: all, or of a long record those where the outputs move most.
 
     A part has at most so many numbers; of a plant at rest before the record it is the first one.
     """
-    if not isinstance(one, InTime):
-        return slice(0, one.samples)
-    samples = one.samples
-    y, size = np.atleast_2d(one.y), _size(one, numbers)
+    if not isinstance(record, InTime):
+        return slice(0, record.samples)
+    samples = record.samples
+    y, size = np.atleast_2d(record.y), _size(record, numbers)
     if samples <= size or from_rest:
         return slice(0, min(samples, size))
     moved = np.zeros((len(y), -(-samples // size)))
@@ -93,10 +93,10 @@ def stages(part: slice, samples: int) -> Iterator[slice]:
         yield part
 
 
-def cut(one: Any, part: slice) -> Any:
+def cut(record: Any, part: slice) -> Any:
     """Some samples of a record, in memory and as doubles where they are few."""
-    if not isinstance(one, InTime) or part == slice(0, one.samples):
-        return one
+    if not isinstance(record, InTime) or part == slice(0, record.samples):
+        return record
     short = part.stop - part.start <= LONG
-    u, y = (np.asarray(x[..., part], float if short else x.dtype) for x in (one.u, one.y))
-    return replace(one, time=one.clock[part], u=u, y=y)  # type: ignore[type-var]
+    u, y = (np.asarray(x[..., part], float if short else x.dtype) for x in (record.u, record.y))
+    return replace(record, time=record.clock[part], u=u, y=y)  # type: ignore[type-var]
