@@ -135,7 +135,7 @@ def _shape(experiment: Recording | ResponseMatrix) -> str:
 
 
 def single(data: CheckedData) -> Record | FrequencyRecord:
-    """The record of data of one output, and of one input or, of a free motion, none."""
+    """Data of one output and at most one input, as a `Record` or `FrequencyRecord`; refuse more channels."""
     if not isinstance(data, Recording | ResponseMatrix):
         return data  # type: ignore[return-value]
     m, p = len(data.input_labels), len(data.output_labels)
@@ -174,7 +174,7 @@ def several(data: Record | Recording) -> Recording: ...
 @overload
 def several(data: Any) -> Recording | ResponseMatrix: ...
 def several(data: Any) -> Recording | ResponseMatrix:
-    """The same data with lists of channels."""
+    """The same data as a `Recording` or `ResponseMatrix`, which may have several channels."""
     named = {name: getattr(data, name) for name in ("input_labels", "output_labels", "title", "time_unit")}
     if isinstance(data, FrequencyRecord):
         return ResponseMatrix(data.omega, data.response[None, None], data.weights[None, None], **named)
@@ -296,7 +296,7 @@ def response_matrix(data: FrequencyResponseData, weights: Any) -> ResponseMatrix
 
 
 def weighted(matrix: ResponseMatrix, weights: Any) -> ResponseMatrix:
-    """The same with weights of every frequency, or of every entry at every frequency."""
+    """The same response with given weights: one for each frequency (K,), or for each entry (p, m, K)."""
     if weights is None:
         return matrix
     shape = matrix.response.shape
@@ -334,7 +334,7 @@ def _union(labels: Sequence[Labels], by_label: bool) -> Labels:
 def _with_channels(
     experiment: Recording | ResponseMatrix, inputs: Labels, outputs: Labels, by_label: bool
 ) -> Recording | ResponseMatrix:
-    """An experiment with all inputs and outputs, at their places."""
+    """An experiment with all inputs and outputs in this order; inputs it lacks are 0, outputs it lacks NaN."""
     if (experiment.input_labels, experiment.output_labels) == (inputs, outputs):
         return experiment
     driven = [inputs.index(name) if by_label else k for k, name in enumerate(experiment.input_labels)]

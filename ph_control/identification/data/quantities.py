@@ -59,7 +59,7 @@ def _tells(label: str) -> bool:
 
 
 def quantity_of(data: Any) -> Any:
-    """Quantities by label of the output, of data that tell them; else that of a port."""
+    """Quantity of each output by its label, where the data or the labels state it; else 'velocity', as of a port."""
     quantities: dict[str, str] = {}
     silent: list[str] = []
     for experiment in data if isinstance(data, list | tuple) else [data]:
@@ -85,7 +85,7 @@ def quantity_of(data: Any) -> Any:
 
 
 def ports_of(data: Any, quantity: Any) -> list[tuple[str, str]] | None:
-    """Driving points by their labels, of data that tell them, without sensors of another kind; None without any."""
+    """Driving points (output, input) that the data state, less outputs of quantity 'free'; None if there are none."""
     stated = [getattr(experiment, "ports", None) for experiment in (data if isinstance(data, list | tuple) else [data])]
     pairs = dict.fromkeys(pair for ports in stated if isinstance(ports, list) for pair in ports if _is_pair(pair))
     free = [label for label, kind in quantity.items() if kind == "free"] if isinstance(quantity, dict) else []

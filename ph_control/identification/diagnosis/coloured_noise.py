@@ -36,7 +36,7 @@ class OutputNoise:
 
 
 def beside_coloured_noise(free: FreeFit) -> FreeFit:
-    """The same modes with what their residuals are like, refined in rows of white noise where they are not.
+    """The fit with findings on its residuals; where these are coloured, refined in rows whitened by their filters.
 
     A search leaves rows that are white but where noise comes through the modes, or depends on more of its past than an
     order is weighed against.  The innovations filter of an output takes inputs and outputs of any modes to inputs and
@@ -75,7 +75,7 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
 
 
 def is_white(projection: FreeProjection) -> bool:
-    """Whether what is left in the rows of each output of records in time may be white noise."""
+    """Whether the residuals of every output of every record in time pass the Ljung-Box test of whiteness."""
     p_values = []
     for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
         if isinstance(rows, FreeRecord):
@@ -157,7 +157,7 @@ def _band(past: Array, step: float) -> tuple[float, float, float, float]:
 
 
 def _gains(projection: FreeProjection, rows: FreeRecord) -> Array:
-    """Squared gains (q, bins) of the outputs of a record, of inputs of their size."""
+    """Sum over inputs of squared gain times mean square of the input, (q, bins), of each output of a record."""
     squared_gains = np.zeros((len(rows.outputs), rows.length // 2 + 1))
     phase = np.asarray(2 * np.pi / rows.length * np.arange(squared_gains.shape[1]), float)
     step = SampledModes.of(rows.hold, projection.p)  # a delay changes no gain
@@ -183,7 +183,7 @@ def _shares_left(projection: FreeProjection, records: Sequence[FreeRecord]) -> l
 
 
 def _about(record: FreeRecord, projection: FreeProjection) -> FreeWindow:
-    """Bins about the modes, as far as a fit has taken a part of the noise in them."""
+    """Window of the bins about the modes in which the fit has absorbed part of the noise."""
     spectra = ChannelSpectra.of(record)
     reach = np.minimum(TUNING.half_width * (1 + np.abs(projection.p.real) / record.bin), TUNING.thinned).astype(int)
     centres = np.rint(spectra.place(projection.p.imag)).astype(int).tolist()

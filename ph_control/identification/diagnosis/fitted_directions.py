@@ -50,7 +50,7 @@ def directions_of(data: Any, model: Any) -> Directions:
 
 
 def same_data(experiment: Any, other: Any) -> bool:
-    """Whether two experiments are one."""
+    """Whether two experiments hold the same data."""
     if experiment is other:
         return True
     if isinstance(experiment, InFrequency) and isinstance(other, InFrequency):

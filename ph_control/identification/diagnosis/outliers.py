@@ -25,10 +25,10 @@ _EFFICIENCY = 0.37  # of the median of absolute values beside the mean of square
 def outliers(residuals: Sequence[Signal], spare: int) -> tuple[tuple[int, ...], ...]:
     """Samples of each of several experiments that noise with the scale of the others would hardly show anywhere.
 
-    Residuals are in the scale of the noise, real, or complex with parts alike; NaN where missing.  `spare` are the
-    residuals, real and imaginary parts, less what was fitted to them.  The scale of each experiment is that of the
-    median, of long records of a part, which outliers do not move, and the bound that of the largest of so many t
-    variables, Bonferroni's.
+    Residuals are in units of the noise: real, or complex with real and imaginary parts of equal variance; NaN where
+    missing.  `spare` is the number of degrees of freedom: residuals, real and imaginary parts, less fitted parameters.
+    The scale of each experiment is estimated from the median of absolute residuals, of long records of a part, which
+    outliers do not move; the bound is Bonferroni's for so many t-distributed variables.
     """
     count = sum(
         int(np.count_nonzero(~np.isnan(_parts(residual[part]))))

@@ -138,7 +138,7 @@ class FitAndKeep:
 
 
 def _tell(value: Any, write: Callable[[bytes], None]) -> None:
-    """Write what tells an object from others, the same in every process."""
+    """Write bytes that identify the content of an object, the same in every process, for a hash."""
     write(f"<{type(value).__qualname__}>".encode())
     if isinstance(value, np.ndarray):
         write(f"{value.dtype.str}{value.shape}".encode())

@@ -152,7 +152,7 @@ class _Followed:
         return float(np.median(y + slope * (place - x)))
 
     def unlikeness(self, shapes: Sequence[ComplexArray]) -> Array:
-        """`1 - MAC`, the mean over its last shapes, of each of these; 0 where there is one output."""
+        """`1 - MAC` of each given shape, the mean over the last shapes of the mode; 0 where there is one output."""
         dissimilarity = np.zeros(len(shapes))
         for k, shape in enumerate(shapes):
             held = [previous for previous in self.shapes if len(previous) == len(shape)]

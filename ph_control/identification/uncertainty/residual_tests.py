@@ -281,7 +281,7 @@ def influence(data: ResidualData) -> Influence:
 
 
 def _eliminated(data: ResidualData, whitening: Array) -> tuple[Array, int, list[int]]:
-    """Regressors of unit length and the residuals, as a few rows, without what was fitted to single records.
+    """Regressors of unit length and the residuals, as a few rows, after elimination of what each record fits alone.
 
     The columns are what was fitted to all and the past of the residuals, a constant in each record, the inputs at and
     before each residual, those after it, and the residual.  With the degrees of freedom that are left, and how many

@@ -37,7 +37,7 @@ def verdict_of(analysis: ResidualAnalysis) -> str:
 
 
 def message_of(analysis: ResidualAnalysis) -> str:
-    """All sentences."""
+    """Explanation of the verdict, in sentences."""
     if analysis.rounding:
         return "What is left is rounding, of which the tests say nothing."
     parts = [cause.sentence for cause in _seen(analysis)]

@@ -122,7 +122,7 @@ def _refuse_fitted(model: Any, label: str, rules: Rules) -> None:
 
 
 def _keeps_its_state(experiment_fit: Any, initial_state: str) -> bool:
-    """Whether the prediction of the fit itself is asked for: that from its state, estimated on these very data."""
+    """Whether the rules want the prediction of the fit itself, from the initial state that it has estimated."""
     if isinstance(experiment_fit.record, InFrequency) or initial_state == "fitted":
         return True
     from_rest = experiment_fit.record.driven and not experiment_fit.free_amplitudes.any()
