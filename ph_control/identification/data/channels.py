@@ -126,34 +126,42 @@ class ResponseMatrix(InFrequency):
         return f"<ResponseMatrix: {self.samples} frequencies, {_shape(self)}>"
 
 
-def _shape(one: Recording | ResponseMatrix) -> str:
-    inputs, outputs = len(one.input_labels), len(one.output_labels)
+def _shape(experiment: Recording | ResponseMatrix) -> str:
+    inputs, outputs = len(experiment.input_labels), len(experiment.output_labels)
     return f"{outputs} output{'s' * (outputs != 1)} from {inputs} input{'s' * (inputs != 1)}"
 
 
 # --- one experiment --------------------------------------------------------------------------------------------------
 
 
-def single(one: CheckedData) -> Record | FrequencyRecord:
-    """The record of data of one output, and of one input or, of a free motion, none."""
-    if not isinstance(one, Recording | ResponseMatrix):
-        return one  # type: ignore[return-value]
-    m, p = len(one.input_labels), len(one.output_labels)
+def single(data: CheckedData) -> Record | FrequencyRecord:
+    """Data of one output and at most one input, as a `Record` or `FrequencyRecord`; refuse more channels."""
+    if not isinstance(data, Recording | ResponseMatrix):
+        return data  # type: ignore[return-value]
+    m, p = len(data.input_labels), len(data.output_labels)
     if p != 1 or m > 1:
-        spectral = isinstance(one, ResponseMatrix)
+        spectral = isinstance(data, ResponseMatrix)
         raise StructureError(
             f"the {'frequency response' if spectral else 'record'} has {m} inputs and {p} outputs "
-            f"({_listed(one.input_labels)}; {_listed(one.output_labels)}), and a fit takes one of each: "
+            f"({_listed(data.input_labels)}; {_listed(data.output_labels)}), and a fit takes one of each: "
             + ("select them by data[output, input]" if spectral else "pass the pair (data.u[j], data.y[i]) with dt")
         )
-    if isinstance(one, ResponseMatrix):
+    if isinstance(data, ResponseMatrix):
         return FrequencyRecord(
-            one.omega, one.response[0, 0], one.weights[0, 0], one.input_labels[0], one.output_labels[0], one.title,
-            one.time_unit,
+            data.omega, data.response[0, 0], data.weights[0, 0], data.input_labels[0], data.output_labels[0],
+            data.title, data.time_unit,
         )  # fmt: skip
-    u, label = (one.u[0], one.input_labels[0]) if m else (np.zeros(one.samples), "u")
+    u, label = (data.u[0], data.input_labels[0]) if m else (np.zeros(data.samples), "u")
     return Record(
-        one.clock, one.dt, u, one.y[0], label, one.output_labels[0], bool(m), title=one.title, time_unit=one.time_unit
+        data.clock,
+        data.dt,
+        u,
+        data.y[0],
+        label,
+        data.output_labels[0],
+        bool(m),
+        title=data.title,
+        time_unit=data.time_unit,
     )
 
 
@@ -166,7 +174,7 @@ def several(data: Record | Recording) -> Recording: ...
 @overload
 def several(data: Any) -> Recording | ResponseMatrix: ...
 def several(data: Any) -> Recording | ResponseMatrix:
-    """The same data with lists of channels."""
+    """The same data as a `Recording` or `ResponseMatrix`, which may have several channels."""
     named = {name: getattr(data, name) for name in ("input_labels", "output_labels", "title", "time_unit")}
     if isinstance(data, FrequencyRecord):
         return ResponseMatrix(data.omega, data.response[None, None], data.weights[None, None], **named)
@@ -198,15 +206,15 @@ def recordings_of_response(data: TimeResponseData, dt: Any) -> tuple[Recording, 
     inputs = np.reshape(data.u, shape) if data.ninputs else np.zeros((0, runs, len(time)))
     outputs = np.reshape(data.y, shape)
     names = tuple(data.input_labels or _numbered("u", len(inputs)))[: len(inputs)]
-    seen, found = tuple(data.output_labels or _numbered("y", len(outputs))), []
+    seen, recordings = tuple(data.output_labels or _numbered("y", len(outputs))), []
     titles = list(data.trace_labels) if runs > 1 and data.trace_labels else runs * [data.title or ""]
     for k, title in enumerate(titles):
         try:
             u, y = _signals("input", inputs[:, k]), _signals("output", outputs[:, k], missing=True)
-            found.append(recording(time, step, u, y, names, seen, title, unit))
+            recordings.append(recording(time, step, u, y, names, seen, title, unit))
         except StructureError as error:
             raise StructureError(f"trace {k + 1}: {error}" if runs > 1 else str(error)) from None
-    return tuple(found)
+    return tuple(recordings)
 
 
 def _signals(role: str, value: Any, missing: bool = False) -> Sequence[Array] | Array:
@@ -222,8 +230,8 @@ def _signals(role: str, value: Any, missing: bool = False) -> Sequence[Array] | 
     if not hasattr(type(value), "__array__") and not isinstance(value, list | tuple):
         raise StructureError(f"the {role} is a {type(value).__name__}; pass an array of signals")
     rows = value if isinstance(value, np.ndarray) else list(value)
-    found = [signal(f"{role} {k}", row, missing=missing) for k, row in enumerate(rows, start=1)]
-    return np.asarray(value) if stays_on_disk(value) else found
+    checked = [signal(f"{role} {k}", row, missing=missing) for k, row in enumerate(rows, start=1)]
+    return np.asarray(value) if stays_on_disk(value) else checked
 
 
 def shape_of(value: Any) -> tuple[int, ...]:
@@ -246,10 +254,10 @@ def recording(
     if not len(outputs):
         raise StructureError("the record has no outputs; pass at least one, with missing samples as NaN")
     time = Clock(range(len(outputs[0])), dt) if time is None else time
-    parts = [("input", one) for one in inputs] + [("output", one) for one in outputs] + [("time", time)]
-    for (one, here), (other, there) in pairwise((name, len(values)) for name, values in parts):
+    parts = [("input", values) for values in inputs] + [("output", values) for values in outputs] + [("time", time)]
+    for (name, here), (other, there) in pairwise((name, len(values)) for name, values in parts):
         if here != there:
-            raise StructureError(f"the {one} has {here} samples, the {other} {there}; they must have the same length")
+            raise StructureError(f"the {name} has {here} samples, the {other} {there}; they must have the same length")
     refuse_short(len(time))
     for name, values in parts[:-1]:
         refuse_out_of_range(f"the {name}", values)
@@ -281,24 +289,24 @@ def response_matrix(data: FrequencyResponseData, weights: Any) -> ResponseMatrix
     _refuse_repeated("input", names)
     _refuse_repeated("output", seen)
     order, unit = np.argsort(omega, kind="stable"), checked_unit(getattr(data, "time_unit", None))
-    found = ResponseMatrix(omega, response, np.ones(response.shape), names, seen, title_of(data), unit)
-    found = weighted(found, weights)
-    arrays = (found.omega[order], found.response[..., order], found.weights[..., order])
-    return ResponseMatrix(*arrays, names, seen, found.title, unit)
+    matrix = ResponseMatrix(omega, response, np.ones(response.shape), names, seen, title_of(data), unit)
+    matrix = weighted(matrix, weights)
+    arrays = (matrix.omega[order], matrix.response[..., order], matrix.weights[..., order])
+    return ResponseMatrix(*arrays, names, seen, matrix.title, unit)
 
 
-def weighted(one: ResponseMatrix, weights: Any) -> ResponseMatrix:
-    """The same with weights of every frequency, or of every entry at every frequency."""
+def weighted(matrix: ResponseMatrix, weights: Any) -> ResponseMatrix:
+    """The same response with given weights: one for each frequency (K,), or for each entry (p, m, K)."""
     if weights is None:
-        return one
-    shape = one.response.shape
+        return matrix
+    shape = matrix.response.shape
     given = shape_of(weights)
     if given not in (shape, (shape[2],)):
         raise StructureError(
             f"weights have shape {given}; with a response of shape {shape} they must be {shape} or ({shape[2]},)"
         )
     each = checked_weights(np.ravel(weights), math.prod(given))
-    return replace(one, weights=np.broadcast_to(each.reshape(given), shape).copy())
+    return replace(matrix, weights=np.broadcast_to(each.reshape(given), shape).copy())
 
 
 # --- one list of channels --------------------------------------------------------------------------------------------
@@ -306,39 +314,39 @@ def weighted(one: ResponseMatrix, weights: Any) -> ResponseMatrix:
 
 def matched(parts: Sequence[Recording | ResponseMatrix], by_label: bool) -> tuple[Any, ...]:
     """Experiments of the same inputs and outputs, matched by their labels or by their places."""
-    inputs = _union([one.input_labels for one in parts], by_label)
-    outputs = _union([one.output_labels for one in parts], by_label)
-    found = tuple(_with_channels(one, inputs, outputs, by_label) for one in parts)
-    if isinstance(found[0], Recording):
-        seen = np.any([one.observed.any(axis=-1) for one in found], axis=0)
+    inputs = _union([experiment.input_labels for experiment in parts], by_label)
+    outputs = _union([experiment.output_labels for experiment in parts], by_label)
+    experiments = tuple(_with_channels(experiment, inputs, outputs, by_label) for experiment in parts)
+    if isinstance(experiments[0], Recording):
+        seen = np.any([experiment.observed.any(axis=-1) for experiment in experiments], axis=0)
         if not seen.all():
             lost = outputs[int(np.argmin(seen))]
             raise StructureError(f"output {lost!r} has no sample in any experiment; leave it out")
-    return found
+    return experiments
 
 
 def _union(labels: Sequence[Labels], by_label: bool) -> Labels:
     if by_label:
-        return tuple(dict.fromkeys(name for one in labels for name in one))
+        return tuple(dict.fromkeys(name for names in labels for name in names))
     return max(labels, key=len)
 
 
 def _with_channels(
-    one: Recording | ResponseMatrix, inputs: Labels, outputs: Labels, by_label: bool
+    experiment: Recording | ResponseMatrix, inputs: Labels, outputs: Labels, by_label: bool
 ) -> Recording | ResponseMatrix:
-    """An experiment with all inputs and outputs, at their places."""
-    if (one.input_labels, one.output_labels) == (inputs, outputs):
-        return one
-    driven = [inputs.index(name) if by_label else k for k, name in enumerate(one.input_labels)]
-    seen = [outputs.index(name) if by_label else k for k, name in enumerate(one.output_labels)]
-    if isinstance(one, Recording):
-        u, y = np.zeros((len(inputs), one.samples)), np.full((len(outputs), one.samples), np.nan)
-        u[driven], y[seen] = one.u, one.y
-        return replace(one, u=u, y=y, input_labels=inputs, output_labels=outputs)
-    response = np.full((len(outputs), len(inputs), one.samples), np.nan, complex)
+    """An experiment with all inputs and outputs in this order; inputs it lacks are 0, outputs it lacks NaN."""
+    if (experiment.input_labels, experiment.output_labels) == (inputs, outputs):
+        return experiment
+    driven = [inputs.index(name) if by_label else k for k, name in enumerate(experiment.input_labels)]
+    seen = [outputs.index(name) if by_label else k for k, name in enumerate(experiment.output_labels)]
+    if isinstance(experiment, Recording):
+        u, y = np.zeros((len(inputs), experiment.samples)), np.full((len(outputs), experiment.samples), np.nan)
+        u[driven], y[seen] = experiment.u, experiment.y
+        return replace(experiment, u=u, y=y, input_labels=inputs, output_labels=outputs)
+    response = np.full((len(outputs), len(inputs), experiment.samples), np.nan, complex)
     weights = np.ones(response.shape)
-    response[np.ix_(seen, driven)], weights[np.ix_(seen, driven)] = one.response, one.weights
-    return replace(one, response=response, weights=weights, input_labels=inputs, output_labels=outputs)
+    response[np.ix_(seen, driven)], weights[np.ix_(seen, driven)] = experiment.response, experiment.weights
+    return replace(experiment, response=response, weights=weights, input_labels=inputs, output_labels=outputs)
 
 
 # --- what they show --------------------------------------------------------------------------------------------------

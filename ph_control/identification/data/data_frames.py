@@ -99,10 +99,16 @@ def recording(
         raise StructureError(f"the columns differ in length, {_checks.shown(lengths)}; they must have the same length")
     refuse_short(len(y[0]))
     start, step, unit = table.clock(dt, len(y[0]))
-    told = checked_unit(time_unit)
+    stated = checked_unit(time_unit)
     grid = instants(len(y[0]), step, start)
     return response(
-        grid, np.array(u).reshape(len(u), len(grid)), np.array(y), inputs, outputs, "", unit if told is None else told
+        grid,
+        np.array(u).reshape(len(u), len(grid)),
+        np.array(y),
+        inputs,
+        outputs,
+        "",
+        unit if stated is None else stated,
     )
 
 
@@ -158,14 +164,14 @@ class _Table:
             if str(time) not in keys:
                 raise StructureError(f"time is {_checks.shown(time)}; {_listing(labels)}")
             return cls(frame, keys, str(time), _column(frame, keys[str(time)]))
-        found = [] if time is False else [label for label in labels if is_time_label(label)]
-        if len(found) > 1:
-            names = " and ".join(repr(label) for label in found)
+        candidates = [] if time is False else [label for label in labels if is_time_label(label)]
+        if len(candidates) > 1:
+            names = " and ".join(repr(label) for label in candidates)
             raise StructureError(
                 f"the columns {names} of the data frame may both be the time; drop the one that is not"
             )
-        if found:
-            return cls(frame, keys, found[0], _column(frame, keys[found[0]]))
+        if candidates:
+            return cls(frame, keys, candidates[0], _column(frame, keys[candidates[0]]))
         label, index = ("", None) if time is False else _index(frame)
         if index is None and dt is None:
             raise StructureError(
@@ -194,7 +200,9 @@ class _Table:
         name = f"the time (column {self.clock_label!r})" if self.clock_label in self.keys else "the index"
         values, unit = np.asarray(self.time), unit_of_time(self.clock_label)
         if values.dtype.kind == "O" and hasattr(values.flat[0] if values.size else None, "tzinfo"):
-            values = np.array([np.datetime64(one.astimezone(timezone.utc).replace(tzinfo=None)) for one in values])
+            values = np.array(
+                [np.datetime64(instant.astimezone(timezone.utc).replace(tzinfo=None)) for instant in values]
+            )
         if values.dtype.kind in "mM":
             values, unit = (values - values[:1]) / np.timedelta64(1, "s"), "s"
         recorded = signal(name, values)
@@ -231,7 +239,7 @@ class _Table:
     def _chosen(self, role: str, wanted: Any) -> list[str] | None:
         if wanted is None:
             return None
-        found = []
+        chosen = []
         for label in map(str, wanted if isinstance(wanted, list | tuple) else [wanted]):
             matches = [label] if label in self.signals else [self.signals[k] for k in labelled(label, self.signals)]
             if not matches:
@@ -240,11 +248,11 @@ class _Table:
                 raise StructureError(
                     f"{role} names {label!r}, which may be {' or '.join(map(repr, matches))}; name it in full"
                 )
-            found += matches
-        if not found:
+            chosen += matches
+        if not chosen:
             hint = "; pass input=False for a recording without input" * (role == "input")
             raise StructureError(f"{role} is an empty list; name at least one column{hint}")
-        return found
+        return chosen
 
 
 def _index(frame: Any) -> tuple[str, Any]:

@@ -83,7 +83,7 @@ def as_experiments(
     (0.1, 0.2, False, [True, False, True, True])
     """
     take = partial(_experiment, output_needed=output_needed)
-    return _each_experiment(data, dt, weights, lambda *one: map(single, take(*one)))
+    return _each_experiment(data, dt, weights, lambda *arguments: map(single, take(*arguments)))
 
 
 def as_channels(
@@ -122,11 +122,13 @@ def as_channels(
     --------
     >>> import numpy as np
     >>> from ph_control.identification.data.experiments import as_channels
-    >>> (one,) = as_channels((np.ones((2, 5)), np.ones((3, 5))), dt=0.1)
-    >>> one
+    >>> (recording,) = as_channels((np.ones((2, 5)), np.ones((3, 5))), dt=0.1)
+    >>> recording
     <Recording: 5 samples, step 0.1, 3 outputs from 2 inputs>
     """
-    return matched(_each_experiment(data, dt, weights, lambda *one: map(several, _experiment(*one))), _are_named(data))
+    return matched(
+        _each_experiment(data, dt, weights, lambda *arguments: map(several, _experiment(*arguments))), _are_named(data)
+    )
 
 
 def as_measured(data: Any, dt: Any = None, *, weights: Any = None) -> tuple[Any, ...]:
@@ -135,13 +137,16 @@ def as_measured(data: Any, dt: Any = None, *, weights: Any = None) -> tuple[Any,
     Experiments that differ in the names of their inputs or outputs have several channels together; columns of data
     frames are taken by their places.
     """
-    found = _each_experiment(data, dt, weights, _experiment)
-    sides = [one.input_labels for one in found], [one.output_labels for one in found]
+    experiments = _each_experiment(data, dt, weights, _experiment)
+    sides = (
+        [experiment.input_labels for experiment in experiments],
+        [experiment.output_labels for experiment in experiments],
+    )
     different = _are_named(data) and not any(map(is_data_frame, data if _are_several(data) else [data]))
     together = max(len({name for labels in side for name in labels}) for side in sides)
     if (different and together > 1) or max(len(labels) for side in sides for labels in side) > 1:
-        return matched(tuple(map(several, found)), _are_named(data))
-    return tuple(map(single, found))
+        return matched(tuple(map(several, experiments)), _are_named(data))
+    return tuple(map(single, experiments))
 
 
 def _each_experiment(data: Any, dt: Any, weights: Any, take: Callable[..., Iterable[Any]]) -> tuple[Any, ...]:
@@ -156,22 +161,22 @@ def _each_experiment(data: Any, dt: Any, weights: Any, take: Callable[..., Itera
             "arrays"
         )
     steps, shares = _one_for_each("dt", dt, len(data)), _one_for_each("weights", weights, len(data))
-    found: list[Any] = []
-    for k, (one, step, share) in enumerate(zip(data, steps, shares, strict=True), start=1):
+    checked: list[Any] = []
+    for k, (experiment, step, share) in enumerate(zip(data, steps, shares, strict=True), start=1):
         try:
-            found.extend(take(one, step, share, data[0]))
-            common_unit(found)
+            checked.extend(take(experiment, step, share, data[0]))
+            common_unit(checked)
         except (StructureError, IdentificationError) as error:
             raise type(error)(f"experiment {k}: {error}") from None
-    return tuple(found)
+    return tuple(checked)
 
 
 def as_record(data: Any, dt: float | None = None, *, input_needed: bool = True, output_needed: bool = True) -> Record:
     """Make one record in time of data that `as_experiments` takes; a record is returned as it is."""
-    found = (data,) if isinstance(data, Record) else as_experiments(data, dt, output_needed=output_needed)
-    record = found[0]
-    if len(found) > 1 or not isinstance(record, Record):
-        raise StructureError(f"data is a {type(data).__name__} of {len(found)} experiments; pass one time record")
+    records = (data,) if isinstance(data, Record) else as_experiments(data, dt, output_needed=output_needed)
+    record = records[0]
+    if len(records) > 1 or not isinstance(record, Record):
+        raise StructureError(f"data is a {type(data).__name__} of {len(records)} experiments; pass one time record")
     if input_needed and not record.driven:
         raise StructureError("the record has no input; pass one that varies (a free motion is estimated along with it)")
     return record
@@ -191,14 +196,14 @@ def _is_signal(value: Any) -> bool:
 
 def _is_pair(data: Any) -> bool:
     """Whether this is a tuple of two signals, any of which may be None; a tuple of two numbers is no pair."""
-    return isinstance(data, tuple) and len(data) == 2 and all(one is None or _is_signal(one) for one in data)
+    return isinstance(data, tuple) and len(data) == 2 and all(values is None or _is_signal(values) for values in data)
 
 
 def _are_several(data: Any) -> bool:
     """Whether a list or tuple is one of experiments, right or wrong, rather than the pair of two signals."""
     if not isinstance(data, list | tuple):
         return False
-    return len(data) != 2 or any(_is_object(one) for one in data) or any(map(_is_pair, data))
+    return len(data) != 2 or any(_is_object(entry) for entry in data) or any(map(_is_pair, data))
 
 
 def _refuse_unknown(data: Any, listed: bool) -> None:
@@ -206,7 +211,7 @@ def _refuse_unknown(data: Any, listed: bool) -> None:
     if _is_object(data) or (isinstance(data, tuple if listed else list | tuple) and not _are_several(data)):
         return
     kind = type(data).__name__
-    if isinstance(data, list | tuple) and any(_is_object(one) or _is_pair(one) for one in data):
+    if isinstance(data, list | tuple) and any(_is_object(entry) or _is_pair(entry) for entry in data):
         raise StructureError(f"this is a {kind} of experiments; lists are not nested: pass one list of all experiments")
     more = "" if listed else ", or a list of these"
     if isinstance(data, str):
@@ -226,10 +231,10 @@ def _is_spectral(data: Any) -> bool:
 def _are_named(data: Any) -> bool:
     """Whether the channels of all experiments have names of their own, which a pair has not."""
     every = data if _are_several(data) else [data]
-    if any(isinstance(one, list | tuple) for one in every):
+    if any(isinstance(experiment, list | tuple) for experiment in every):
         return False
-    responses = [one for one in every if isinstance(one, TimeResponseData)]
-    return all(one.output_labels and (one.input_labels or not one.ninputs) for one in responses)
+    responses = [experiment for experiment in every if isinstance(experiment, TimeResponseData)]
+    return all(response.output_labels and (response.input_labels or not response.ninputs) for response in responses)
 
 
 def _refuse_mixture(data: Any, dt: Any, weights: Any, first: Any) -> None:

@@ -32,8 +32,8 @@ class InFrequency(CheckedData):
     def as_response(self) -> FrequencyResponseData:
         """Return the data as python-control keeps them, which has no weights; names have no dots."""
         names = {"inputs": _checks.without_dots(self.input_labels), "outputs": _checks.without_dots(self.output_labels)}  # type: ignore[attr-defined]
-        found = FrequencyResponseData(self.response, self.omega, **names, title=self.title or None)
-        return with_unit(found, self.time_unit)
+        response = FrequencyResponseData(self.response, self.omega, **names, title=self.title or None)
+        return with_unit(response, self.time_unit)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

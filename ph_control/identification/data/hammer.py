@@ -42,18 +42,18 @@ def contacts_alone(records: Sequence[CheckedData]) -> tuple[tuple[Any, ...], flo
     if is_long(records):
         return None
     sizes: list[tuple[float, float]] = []
-    changed = [_changed(one, sizes) if isinstance(one, InTime) else one for one in records]
+    changed = [_changed(record, sizes) if isinstance(record, InTime) else record for record in records]
     return (tuple(changed), *sizes[0]) if sizes else None
 
 
-def _changed(one: Any, sizes: list[tuple[float, float]]) -> Any:
-    rows = np.atleast_2d(np.asarray(one.u, float))
-    found = [_of_contacts(row) for row in rows]
-    if all(force is None for force, *_ in found):
-        return one
-    sizes += [(noise, peak) for force, noise, peak in found if force is not None]
-    forces = np.array([row if force is None else force for row, (force, *_) in zip(rows, found, strict=True)])
-    return replace(one, u=forces.reshape(np.shape(one.u)))
+def _changed(record: Any, sizes: list[tuple[float, float]]) -> Any:
+    rows = np.atleast_2d(np.asarray(record.u, float))
+    hits = [_of_contacts(row) for row in rows]
+    if all(force is None for force, *_ in hits):
+        return record
+    sizes += [(noise, peak) for force, noise, peak in hits if force is not None]
+    forces = np.array([row if force is None else force for row, (force, *_) in zip(rows, hits, strict=True)])
+    return replace(record, u=forces.reshape(np.shape(record.u)))
 
 
 def _of_contacts(force: Array) -> tuple[Array | None, float, float]:

@@ -16,7 +16,7 @@ _BLOCK = 1 << 18  # numbers that are looked at at a time
 
 
 class Signal(Protocol):
-    """Numbers that are read by slices: an array, or what is worked out where it is asked for."""
+    """Samples read by slices: an array, or values computed on demand."""
 
     def __len__(self) -> int: ...
 
@@ -25,7 +25,7 @@ class Signal(Protocol):
 
 @dataclass(frozen=True)
 class Difference:
-    """What a prediction leaves of a signal (T,), worked out where it is asked for."""
+    """Residual of a signal (T,), measured less predicted, computed for the slice that is read."""
 
     measured: NDArray[Any]
     predicted: NDArray[Any]
@@ -38,32 +38,32 @@ class Difference:
 
 
 def blocks(samples: int, rows: int = 1) -> Iterator[slice]:
-    """Consecutive samples, so many that a few megabytes hold them."""
+    """Consecutive slices of a record of `samples`, each of a size that `rows` signals fit into a few megabytes."""
     size = max(1, _BLOCK // max(1, rows))
     for first in range(0, samples, size):
         yield slice(first, min(first + size, samples))
 
 
-def _size(one: InTime, numbers: int = LONG) -> int:
-    """Samples that have so many numbers."""
-    channels = one.u.size // max(1, one.samples) + one.y.size // max(1, one.samples)
+def _size(record: InTime, numbers: int = LONG) -> int:
+    """Number of samples whose inputs and outputs are together so many numbers; at least 2."""
+    channels = record.u.size // max(1, record.samples) + record.y.size // max(1, record.samples)
     return max(2, numbers // max(1, channels))
 
 
 def is_long(records: Sequence[CheckedData]) -> bool:
-    """Whether modes are looked for in a part of the samples only."""
-    return any(isinstance(one, InTime) and one.samples > _size(one) for one in records)
+    """Whether a record is so long that modes are searched for in a part of it first."""
+    return any(isinstance(record, InTime) and record.samples > _size(record) for record in records)
 
 
-def searched_part(one: CheckedData, from_rest: bool = False, numbers: int = LONG) -> slice:
+def searched_part(record: CheckedData, from_rest: bool = False, numbers: int = LONG) -> slice:
     """Samples in which modes are looked for: all, or of a long record those where the outputs move most.
 
     A part has at most so many numbers; of a plant at rest before the record it is the first one.
     """
-    if not isinstance(one, InTime):
-        return slice(0, one.samples)
-    samples = one.samples
-    y, size = np.atleast_2d(one.y), _size(one, numbers)
+    if not isinstance(record, InTime):
+        return slice(0, record.samples)
+    samples = record.samples
+    y, size = np.atleast_2d(record.y), _size(record, numbers)
     if samples <= size or from_rest:
         return slice(0, min(samples, size))
     moved = np.zeros((len(y), -(-samples // size)))
@@ -76,7 +76,7 @@ def searched_part(one: CheckedData, from_rest: bool = False, numbers: int = LONG
 
 
 def _motion(y: NDArray[Any]) -> Array:
-    """Sum of `|y - mean|` of each output; not of squares, of which a single false sample is the largest."""
+    """Sum of `|y - mean|` of each output; not of squares, which a single outlier would dominate."""
     seen = ~np.isnan(y)
     values = np.where(seen, y, 0.0).astype(float)
     mean = values.sum(axis=1, keepdims=True) / np.maximum(seen.sum(axis=1, keepdims=True), 1)
@@ -93,10 +93,10 @@ def stages(part: slice, samples: int) -> Iterator[slice]:
         yield part
 
 
-def cut(one: Any, part: slice) -> Any:
-    """Some samples of a record, in memory and as doubles where they are few."""
-    if not isinstance(one, InTime) or part == slice(0, one.samples):
-        return one
+def cut(record: Any, part: slice) -> Any:
+    """A part of a record, copied into memory as doubles if it is short; frequency responses are returned whole."""
+    if not isinstance(record, InTime) or part == slice(0, record.samples):
+        return record
     short = part.stop - part.start <= LONG
-    u, y = (np.asarray(x[..., part], float if short else x.dtype) for x in (one.u, one.y))
-    return replace(one, time=one.clock[part], u=u, y=y)  # type: ignore[type-var]
+    u, y = (np.asarray(x[..., part], float if short else x.dtype) for x in (record.u, record.y))
+    return replace(record, time=record.clock[part], u=u, y=y)  # type: ignore[type-var]

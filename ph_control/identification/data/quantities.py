@@ -59,38 +59,38 @@ def _tells(label: str) -> bool:
 
 
 def quantity_of(data: Any) -> Any:
-    """Quantities by label of the output, of data that tell them; else that of a port."""
-    found: dict[str, str] = {}
+    """Quantity of each output by its label, where the data or the labels state it; else 'velocity', as of a port."""
+    quantities: dict[str, str] = {}
     silent: list[str] = []
-    for one in data if isinstance(data, list | tuple) else [data]:
-        told = getattr(one, "quantity", None)
-        if not isinstance(told, dict):  # a data frame may have a column of that name
-            by_label = {label: quantity_of_label(label) for label in _output_labels(one)}
-            told = {label: quantity for label, quantity in by_label.items() if quantity is not None}
-            silent += [label for label in by_label if label not in told]
-        for label, quantity in told.items():
-            if found.setdefault(label, quantity) != quantity:
+    for experiment in data if isinstance(data, list | tuple) else [data]:
+        stated = getattr(experiment, "quantity", None)
+        if not isinstance(stated, dict):  # a data frame may have a column of that name
+            by_label = {label: quantity_of_label(label) for label in _output_labels(experiment)}
+            stated = {label: quantity for label, quantity in by_label.items() if quantity is not None}
+            silent += [label for label in by_label if label not in stated]
+        for label, quantity in stated.items():
+            if quantities.setdefault(label, quantity) != quantity:
                 raise StructureError(
-                    f"output {label!r} is {found[label]} in one experiment and {quantity} in another; pass quantity, "
-                    "or give the outputs different labels"
+                    f"output {label!r} is {quantities[label]} in one experiment and {quantity} in another; pass "
+                    "quantity, or give the outputs different labels"
                 )
-    asked = [label for label in silent if label not in found]
-    if found and asked:
-        label, quantity = next(iter(found.items()))
+    unknown = [label for label in silent if label not in quantities]
+    if quantities and unknown:
+        label, quantity = next(iter(quantities.items()))
         raise StructureError(
-            f"the quantity of output {asked[0]!r} is unknown ({label!r} is {quantity}); pass "
-            f"quantity={{{asked[0]!r}: ...}} with one of {', '.join(map(repr, QUANTITIES))}"
+            f"the quantity of output {unknown[0]!r} is unknown ({label!r} is {quantity}); pass "
+            f"quantity={{{unknown[0]!r}: ...}} with one of {', '.join(map(repr, QUANTITIES))}"
         )
-    return found or "velocity"
+    return quantities or "velocity"
 
 
 def ports_of(data: Any, quantity: Any) -> list[tuple[str, str]] | None:
-    """Driving points by their labels, of data that tell them, without sensors of another kind; None without any."""
-    told = [getattr(one, "ports", None) for one in (data if isinstance(data, list | tuple) else [data])]
-    pairs = dict.fromkeys(pair for ports in told if isinstance(ports, list) for pair in ports if _is_pair(pair))
+    """Driving points (output, input) that the data state, less outputs of quantity 'free'; None if there are none."""
+    stated = [getattr(experiment, "ports", None) for experiment in (data if isinstance(data, list | tuple) else [data])]
+    pairs = dict.fromkeys(pair for ports in stated if isinstance(ports, list) for pair in ports if _is_pair(pair))
     free = [label for label, kind in quantity.items() if kind == "free"] if isinstance(quantity, dict) else []
-    found = [(output, input) for output, input in pairs if quantity != "free" and output not in free]
-    return found or None
+    driving_points = [(output, input) for output, input in pairs if quantity != "free" and output not in free]
+    return driving_points or None
 
 
 def _is_pair(pair: Any) -> bool:
@@ -114,11 +114,11 @@ def checked_quantities(quantity: Any, labels: Sequence[str]) -> tuple[str, ...]:
     if isinstance(quantity, str):
         each: Any = [quantity] * len(labels)
     elif isinstance(quantity, dict):
-        found = {name: _checks.label_named(name, labels) for name in quantity}
-        unknown = [name for name, label in found.items() if label is None]
+        label_of = {name: _checks.label_named(name, labels) for name in quantity}
+        unknown = [name for name, label in label_of.items() if label is None]
         if unknown:
             raise StructureError(f"quantity names {unknown[0]!r}; the outputs are {', '.join(map(repr, labels))}")
-        given = {found[name]: value for name, value in quantity.items()}
+        given = {label_of[name]: value for name, value in quantity.items()}
         each = [given.get(label) or quantity_of_label(label) or "velocity" for label in labels]
     else:
         each = list(quantity) if isinstance(quantity, tuple | list | np.ndarray) else [quantity]
@@ -126,7 +126,7 @@ def checked_quantities(quantity: Any, labels: Sequence[str]) -> tuple[str, ...]:
         raise StructureError(
             f"quantity has {len(each)} entries for {counted(len(labels), 'output')}; give one for each, or one"
         )
-    return tuple(_checks.choice("quantity", one, QUANTITIES) for one in each)
+    return tuple(_checks.choice("quantity", kind, QUANTITIES) for kind in each)
 
 
 def measured_by(quantities: Sequence[str], labels: Sequence[str]) -> str:
@@ -135,9 +135,12 @@ def measured_by(quantities: Sequence[str], labels: Sequence[str]) -> str:
         return "velocity" if all(map(_tells, labels)) else "velocity, as given or by default"
     if len(set(quantities)) == 1:
         return quantities[0]
-    outputs = {one: [label for label, q in zip(labels, quantities, strict=True) if q == one] for one in QUANTITIES}
+    outputs = {
+        quantity: [label for label, q in zip(labels, quantities, strict=True) if q == quantity]
+        for quantity in QUANTITIES
+    }
     return "; ".join(
-        f"{one} of {', '.join(map(repr, names[:6]))}" + f" and {len(names) - 6} more" * (len(names) > 6)
-        for one, names in outputs.items()
+        f"{quantity} of {', '.join(map(repr, names[:6]))}" + f" and {len(names) - 6} more" * (len(names) > 6)
+        for quantity, names in outputs.items()
         if names
     )

@@ -144,12 +144,12 @@ class Record(InTime):
 
     def as_response(self) -> TimeResponseData:
         """Return the record as python-control keeps one."""
-        found = TimeResponseData(
+        response = TimeResponseData(
             self.time, self.y, inputs=self.u if self.driven else None, issiso=True,
             input_labels=[self.input_label] if self.driven else None, output_labels=[self.output_label],
             title=self.title or "Recording",
         )  # fmt: skip
-        return with_unit(found, self.time_unit)
+        return with_unit(response, self.time_unit)
 
 
 def uniform_time(name: str, recorded: Any, dt: Any = None) -> tuple[Array, float]:

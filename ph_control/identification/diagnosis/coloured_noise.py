@@ -36,7 +36,7 @@ class OutputNoise:
 
 
 def beside_coloured_noise(free: FreeFit) -> FreeFit:
-    """The same modes with what their residuals are like, refined in rows of white noise where they are not.
+    """The fit with findings on its residuals; where these are coloured, refined in rows whitened by their filters.
 
     A search leaves rows that are white but where noise comes through the modes, or depends on more of its past than an
     order is weighed against.  The innovations filter of an output takes inputs and outputs of any modes to inputs and
@@ -45,42 +45,42 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     part of a record, or modes would be lost, begin to grow, or grow twice as fast: what hits leave of an input known at
     its samples only, or what no linear model explains, has no spectrum that all of the record shares.
     """
-    at = free.projection if free.measured is None else GivenResidues(free.measured, free.projection.shared)
-    records = [one for one in at.experiments if isinstance(one, FreeRecord)]
-    if len(records) < len(at.experiments) or not free.states or free.rounding:
+    projection = free.projection if free.measured is None else GivenResidues(free.measured, free.projection.shared)
+    records = [record for record in projection.experiments if isinstance(record, FreeRecord)]
+    if len(records) < len(projection.experiments) or not free.states or free.rounding:
         return free
-    noise = noise_of(replace(free, projection=at), records)
-    findings = tuple(one.finding for one in noise if one.finding is not None)
+    noise = noise_of(replace(free, projection=projection), records)
+    findings = tuple(output.finding for output in noise if output.finding is not None)
     if not findings:
         return free
     free = replace(free, findings=(*free.findings, *findings))
-    if not at.inputs or any(is_short(one) for one in records):
+    if not projection.inputs or any(is_short(record) for record in records):
         return free
-    through = any(one.cause is Cause.INPUT_NOISE for one in findings)
+    through = any(finding.cause is Cause.INPUT_NOISE for finding in findings)
     if free.noise and not through and is_white(free.projection):
         return free
-    rows = [row for one in records for row in one.filtered([each.innovations for each in noise])]
-    found = refine_free(lambda _: rows, at.p, free.region, _EXACT, at.fed)
-    if len(found.p) != len(at.p) or np.any(found.p.real > 2 * np.maximum(at.p.real, 0.0)):
+    rows = [row for record in records for row in record.filtered([each.innovations for each in noise])]
+    refined = refine_free(lambda _: rows, projection.p, free.region, _EXACT, projection.fed)
+    if len(refined.p) != len(projection.p) or np.any(refined.p.real > 2 * np.maximum(projection.p.real, 0.0)):
         return free
-    if FreeProjection(at.experiments, found.p, at.fed).loss > _ASTRAY * at.loss:
+    if FreeProjection(projection.experiments, refined.p, projection.fed).loss > _ASTRAY * projection.loss:
         return free
     counts = np.zeros(len(noise))
-    for one in rows:
-        counts[one.outputs] += one.samples
-    sizes = np.sqrt(counts / found.losses)[:, None]
-    rows = [one.in_units(float(sizes[one.outputs[0], 0])) for one in rows]
-    measured = FreeProjection(at.experiments, found.p, at.fed)
-    return replace(free, projection=FreeProjection(rows, found.p, at.fed), measured=measured)
+    for record in rows:
+        counts[record.outputs] += record.samples
+    sizes = np.sqrt(counts / refined.losses)[:, None]
+    rows = [record.in_units(float(sizes[record.outputs[0], 0])) for record in rows]
+    measured = FreeProjection(projection.experiments, refined.p, projection.fed)
+    return replace(free, projection=FreeProjection(rows, refined.p, projection.fed), measured=measured)
 
 
-def is_white(at: FreeProjection) -> bool:
-    """Whether what is left in the rows of each output of records in time may be white noise."""
-    found = []
-    for rows, predicted in zip(at.experiments, at.predictions(), strict=True):
+def is_white(projection: FreeProjection) -> bool:
+    """Whether the residuals of every output of every record in time pass the Ljung-Box test of whiteness."""
+    p_values = []
+    for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
         if isinstance(rows, FreeRecord):
-            found += [ljung_box([one[rows.observed]], TUNING.lags) for one in rows.measured - predicted]
-    return bool(found) and min(found) * len(found) >= TUNING.white
+            p_values += [ljung_box([residual[rows.observed]], TUNING.lags) for residual in rows.measured - predicted]
+    return bool(p_values) and min(p_values) * len(p_values) >= TUNING.white
 
 
 def noise_of(free: FreeFit, records: Sequence[FreeRecord]) -> list[OutputNoise]:
@@ -89,14 +89,16 @@ def noise_of(free: FreeFit, records: Sequence[FreeRecord]) -> list[OutputNoise]:
     An autoregression of the order that AIC prefers, or noise that comes through the modes as the input does, where BIC
     prefers that.  What was fitted took its part of the noise about the modes, which counts as if it were there.
     """
-    at, count = free.projection, len(free.scales)
+    projection, count = free.projection, len(free.scales)
     powers: list[list[tuple[Array, int]]] = [[] for _ in range(count)]
     gains: list[list[Array]] = [[] for _ in range(count)]
-    for rows, predicted, shares in zip(records, at.predictions(), _shares_left(at, records), strict=True):
-        left = np.where(rows.observed, rows.measured - predicted, 0.0)
-        of_inputs = _gains(at, rows)
-        for output, one, share, gain in zip(rows.outputs.tolist(), left, shares, of_inputs, strict=True):
-            powers[output].append((np.abs(np.fft.rfft(one)) ** 2 / share, rows.length))
+    for rows, predicted, shares in zip(
+        records, projection.predictions(), _shares_left(projection, records), strict=True
+    ):
+        residuals = np.where(rows.observed, rows.measured - predicted, 0.0)
+        of_inputs = _gains(projection, rows)
+        for output, residual, share, gain in zip(rows.outputs.tolist(), residuals, shares, of_inputs, strict=True):
+            powers[output].append((np.abs(np.fft.rfft(residual)) ** 2 / share, rows.length))
             gains[output].append(gain)
     labels, step = free.channels[0].output_labels, records[0].hold.h
     return [_noise(*each, step) for each in zip(powers, gains, labels, free.scales.tolist(), strict=True)]
@@ -108,7 +110,7 @@ def _noise(
     """Noise of an output, of its residuals' powers at all bins of records of so many samples."""
     shortest, total = min(length for _, length in powers), sum(length for _, length in powers)
     most = max(1, min(_LONGEST, shortest // 4, total // _SAMPLES_EACH))
-    products = np.sum([np.fft.irfft(one, length)[: most + 1] for one, length in powers], axis=0)
+    products = np.sum([np.fft.irfft(periodogram, length)[: most + 1] for periodogram, length in powers], axis=0)
     models, variances = foretold(products)
     likelier = -0.5 * total * np.log(variances)
     order = int(np.argmax(likelier - np.arange(len(variances))))
@@ -118,8 +120,10 @@ def _noise(
     if (gain := float(likelier[order])) - order > least:
         finding = Finding(Cause.COLOURED_RESIDUALS, _band(past, step), gain, label)
         least = max(_TOLD, gain - 0.5 * order * float(np.log(total)))
-    power = np.concatenate([one[1 : (length + 1) // 2] / length for one, length in powers])
-    through = np.concatenate([one[1 : (length + 1) // 2] for one, (_, length) in zip(gains, powers, strict=True)])
+    power = np.concatenate([periodogram[1 : (length + 1) // 2] / length for periodogram, length in powers])
+    through = np.concatenate(
+        [squared_gain[1 : (length + 1) // 2] for squared_gain, (_, length) in zip(gains, powers, strict=True)]
+    )
     if not np.median(through) > 0:
         return OutputNoise(innovations, finding)
 
@@ -132,7 +136,9 @@ def _noise(
         beside = float(np.sqrt(np.mean(power / (1 + ratio * through))))
         finding = Finding(Cause.INPUT_NOISE, (float(np.sqrt(ratio)) * beside, scale * beside), gain, label)
         pairs = zip(gains, powers, strict=True)
-        products = np.sum([np.fft.irfft(1 + ratio * one, length)[: most + 1] for one, (_, length) in pairs], axis=0)
+        products = np.sum(
+            [np.fft.irfft(1 + ratio * squared_gain, length)[: most + 1] for squared_gain, (_, length) in pairs], axis=0
+        )
         models, variances = foretold(products)
         past = np.concatenate([[1.0], -models[-1]])
         innovations = past / (beside * np.sqrt(variances[-1] * products[0] / len(powers)))
@@ -150,37 +156,37 @@ def _band(past: Array, step: float) -> tuple[float, float, float, float]:
     return unit * first, unit * min(last, _GRID), float(density[peak]), share
 
 
-def _gains(at: FreeProjection, rows: FreeRecord) -> Array:
-    """Squared gains (q, bins) of the outputs of a record, of inputs of their size."""
-    found = np.zeros((len(rows.outputs), rows.length // 2 + 1))
-    phase = np.asarray(2 * np.pi / rows.length * np.arange(found.shape[1]), float)
-    step = SampledModes.of(rows.hold, at.p)  # a delay changes no gain
+def _gains(projection: FreeProjection, rows: FreeRecord) -> Array:
+    """Sum over inputs of squared gain times mean square of the input, (q, bins), of each output of a record."""
+    squared_gains = np.zeros((len(rows.outputs), rows.length // 2 + 1))
+    phase = np.asarray(2 * np.pi / rows.length * np.arange(squared_gains.shape[1]), float)
+    step = SampledModes.of(rows.hold, projection.p)  # a delay changes no gain
     for u, i in zip(rows.u[: rows.inputs], rows.acting.tolist(), strict=True):
         for k, o in enumerate(rows.outputs.tolist()):
-            gain = sampled_response(step, at.residues[:, o, i], float(at.feedthrough[o, i]), phase)
-            found[k] += np.mean(u**2) * np.abs(gain) ** 2
-    return found
+            gain = sampled_response(step, projection.residues[:, o, i], float(projection.feedthrough[o, i]), phase)
+            squared_gains[k] += np.mean(u**2) * np.abs(gain) ** 2
+    return squared_gains
 
 
 # --- what a fit leaves of the noise ----------------------------------------------------------------------------------
 
 
-def _shares_left(at: FreeProjection, records: Sequence[FreeRecord]) -> list[Array]:
+def _shares_left(projection: FreeProjection, records: Sequence[FreeRecord]) -> list[Array]:
     """Of the noise of each record and output (q, bins), the share that a fit leaves on average: 1 less the leverage."""
-    found = [np.ones((len(one.outputs), one.length // 2 + 1)) for one in records]
-    for outputs in {tuple(one.outputs.tolist()) for one in records}:
-        places = [k for k, one in enumerate(records) if tuple(one.outputs.tolist()) == outputs]
-        windows = [_about(replace(records[k], outputs=np.arange(len(outputs))), at) for k in places]
-        for k, window, taken in zip(places, windows, _leverages(FreeProjection(windows, at.p)), strict=True):
-            found[k][:, window.bins] = np.maximum(_LEAST, 1 - taken)
-    return found
+    shares = [np.ones((len(record.outputs), record.length // 2 + 1)) for record in records]
+    for outputs in {tuple(record.outputs.tolist()) for record in records}:
+        places = [k for k, record in enumerate(records) if tuple(record.outputs.tolist()) == outputs]
+        windows = [_about(replace(records[k], outputs=np.arange(len(outputs))), projection) for k in places]
+        for k, window, taken in zip(places, windows, _leverages(FreeProjection(windows, projection.p)), strict=True):
+            shares[k][:, window.bins] = np.maximum(_LEAST, 1 - taken)
+    return shares
 
 
-def _about(one: FreeRecord, at: FreeProjection) -> FreeWindow:
-    """Bins about the modes, as far as a fit has taken a part of the noise in them."""
-    spectra = ChannelSpectra.of(one)
-    reach = np.minimum(TUNING.half_width * (1 + np.abs(at.p.real) / one.bin), TUNING.thinned).astype(int)
-    centres = np.rint(spectra.place(at.p.imag)).astype(int).tolist()
+def _about(record: FreeRecord, projection: FreeProjection) -> FreeWindow:
+    """Window of the bins about the modes in which the fit has absorbed part of the noise."""
+    spectra = ChannelSpectra.of(record)
+    reach = np.minimum(TUNING.half_width * (1 + np.abs(projection.p.real) / record.bin), TUNING.thinned).astype(int)
+    centres = np.rint(spectra.place(projection.p.imag)).astype(int).tolist()
     bins = np.unique(np.concatenate([np.arange(c - r, c + r + 1) for c, r in zip(centres, reach, strict=True)]))
     return FreeWindow(spectra, bins[(bins >= 1) & (bins <= spectra.last)])
 
@@ -197,10 +203,10 @@ def _leverages(near: FreeProjection) -> list[Array]:
         each = [by_poles(moved, window, mine[:, o], near.residues[:, o]) for o in window.outputs]
         own.append(basis)
         shared.append(without(every, basis))
-        slopes.append(np.stack([without(one, basis) for one in each]))
-    ends = np.cumsum([len(one) for one in own])[:-1]
+        slopes.append(np.stack([without(slope, basis) for slope in each]))
+    ends = np.cumsum([len(basis) for basis in own])[:-1]
     joint = orthogonal(np.concatenate(shared))[0]
-    by_output = np.stack([without(one, joint) for one in np.concatenate(slopes, axis=1)])
+    by_output = np.stack([without(slope, joint) for slope in np.concatenate(slopes, axis=1)])
     poles = orthogonal(by_output.reshape(-1, 2 * n))[0].reshape(*by_output.shape[:2], -1)
     taken = np.split(np.sum(poles**2, axis=2) + np.sum(joint**2, axis=1), ends, axis=1)
     rows = [part + np.sum(basis**2, axis=1) for part, basis in zip(taken, own, strict=True)]

@@ -49,20 +49,22 @@ def directions_of(data: Any, model: Any) -> Directions:
     return _of_record(data, model)
 
 
-def same_data(one: Any, other: Any) -> bool:
-    """Whether two experiments are one."""
-    if one is other:
+def same_data(experiment: Any, other: Any) -> bool:
+    """Whether two experiments hold the same data."""
+    if experiment is other:
         return True
-    if isinstance(one, InFrequency) and isinstance(other, InFrequency):
-        return np.array_equal(one.omega, other.omega) and np.array_equal(one.response, other.response, equal_nan=True)
-    if not (isinstance(one, Record | Recording) and isinstance(other, Record | Recording)):
+    if isinstance(experiment, InFrequency) and isinstance(other, InFrequency):
+        return np.array_equal(experiment.omega, other.omega) and np.array_equal(
+            experiment.response, other.response, equal_nan=True
+        )
+    if not (isinstance(experiment, Record | Recording) and isinstance(other, Record | Recording)):
         return False
     return (
-        one.samples == other.samples
-        and one.driven == other.driven
-        and abs(one.dt - other.dt) <= _checks.EPS * one.samples * one.dt
-        and np.array_equal(one.u, other.u)
-        and np.array_equal(one.y, other.y, equal_nan=True)
+        experiment.samples == other.samples
+        and experiment.driven == other.driven
+        and abs(experiment.dt - other.dt) <= _checks.EPS * experiment.samples * experiment.dt
+        and np.array_equal(experiment.u, other.u)
+        and np.array_equal(experiment.y, other.y, equal_nan=True)
     )
 
 

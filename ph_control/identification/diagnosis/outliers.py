@@ -25,25 +25,29 @@ _EFFICIENCY = 0.37  # of the median of absolute values beside the mean of square
 def outliers(residuals: Sequence[Signal], spare: int) -> tuple[tuple[int, ...], ...]:
     """Samples of each of several experiments that noise with the scale of the others would hardly show anywhere.
 
-    Residuals are in the scale of the noise, real, or complex with parts alike; NaN where missing.  `spare` are the
-    residuals, real and imaginary parts, less what was fitted to them.  The scale of each experiment is that of the
-    median, of long records of a part, which outliers do not move, and the bound that of the largest of so many t
-    variables, Bonferroni's.
+    Residuals are in units of the noise: real, or complex with real and imaginary parts of equal variance; NaN where
+    missing.  `spare` is the number of degrees of freedom: residuals, real and imaginary parts, less fitted parameters.
+    The scale of each experiment is estimated from the median of absolute residuals, of long records of a part, which
+    outliers do not move; the bound is Bonferroni's for so many t-distributed variables.
     """
-    count = sum(int(np.count_nonzero(~np.isnan(_parts(one[part])))) for one in residuals for part in blocks(len(one)))
+    count = sum(
+        int(np.count_nonzero(~np.isnan(_parts(residual[part]))))
+        for residual in residuals
+        for part in blocks(len(residual))
+    )
     if spare < _FEWEST:
         return ((),) * len(residuals)
     bound = float(t.isf(0.5 * _BY_CHANCE / count, _EFFICIENCY * spare / len(residuals)))
-    found = []
-    for one in residuals:
-        few = np.abs(_parts(one[:: 1 + len(one) // LONG]))
+    outlying = []
+    for residual in residuals:
+        few = np.abs(_parts(residual[:: 1 + len(residual) // LONG]))
         scale = float(np.nanmedian(few)) / float(norm.isf(0.25)) * np.sqrt(count / spare) if len(few) else 0.0
         far: list[int] = []
-        for part in blocks(len(one)) if scale else ():
-            size = np.abs(_parts(one[part]))
+        for part in blocks(len(residual)) if scale else ():
+            size = np.abs(_parts(residual[part]))
             far += (part.start + np.flatnonzero(np.any(size > bound * scale, axis=1))).tolist()
-        found.append(tuple(far) if len(far) <= max(1, _SHARE * len(one)) else ())
-    return tuple(found)
+        outlying.append(tuple(far) if len(far) <= max(1, _SHARE * len(residual)) else ())
+    return tuple(outlying)
 
 
 def saturation(y: Signal) -> tuple[int, tuple[float, ...]]:
@@ -59,17 +63,17 @@ def saturation(y: Signal) -> tuple[int, tuple[float, ...]]:
         return 0, ()
     low, high = ends[:, 0].min(), ends[:, 1].max()
     stuck = 0
-    found: tuple[float, ...] = ()
+    limits: tuple[float, ...] = ()
     for end in (low, high):
         below = (np.abs(end - y[part]) for part in blocks(len(y)))
-        near = np.concatenate([one[one <= _NEAR[1] * (high - low)] for one in below])
+        near = np.concatenate([distance[distance <= _NEAR[1] * (high - low)] for distance in below])
         others = near[near > 0]
         count = len(near) - len(others)
         around = max(_NEAR[0] * (high - low), others.min(initial=np.inf))
         held = count >= _REPEATED and len(others) and count > _OFTEN * np.count_nonzero(others <= around)
         if held:
-            stuck, found = stuck + count, (*found, float(end))
-    return stuck, found
+            stuck, limits = stuck + count, (*limits, float(end))
+    return stuck, limits
 
 
 def _parts(residuals: NDArray[Any]) -> Array:

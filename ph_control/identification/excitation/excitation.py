@@ -95,12 +95,12 @@ def excitation(
 
     >>> import numpy as np, ph_control as phc
     >>> chain, t = phc.frenkel_kontorova(2), 0.01 * np.arange(1000)
-    >>> found = phc.excitation((np.sin(t), None), chain, dt=0.01)
-    >>> found.rank, len(found.names)
+    >>> report = phc.excitation((np.sin(t), None), chain, dt=0.01)
+    >>> report.rank, len(report.names)
     (7, 8)
-    >>> found.blind[0].words
+    >>> report.blind[0].words
     'r_1 and r_2 with the initial states of modes 1 and 2'
-    >>> found.remedies[0][:53]
+    >>> report.remedies[0][:53]
     'add a frequency near 1.6 rad/time to the input, or us'
     >>> phc.excitation((np.sin(t) + np.sin(1.6 * t), None), chain, dt=0.01).sufficient
     True
@@ -129,12 +129,12 @@ def excitation(
     _refuse_many(model.n, most, problems)
     _check_phases(problem, model.d)
     motions = [
-        _free_motion(one, model) if known else (np.zeros(model.n, complex), np.nan)
-        for one, known in zip(problems, measured, strict=True)
+        _free_motion(port_record, model) if known else (np.zeros(model.n, complex), np.nan)
+        for port_record, known in zip(problems, measured, strict=True)
     ]
-    amplitudes, left = motions[longest]
+    amplitudes, deviation = motions[longest]
     if measured[longest] and noise_std is None:
-        noise = float(np.ravel(getattr(order, "noise_variance", left**2))[0]) ** 0.5
+        noise = float(np.ravel(getattr(order, "noise_variance", deviation**2))[0]) ** 0.5
     joint = None
     if len(problems) > 1:
         joint = joint_information(problems, model.d, model.r, [motion for motion, _ in motions])
@@ -162,7 +162,7 @@ def examine(
     band = excited_band(problem.u, problem.hold.h, time_unit)
     apparent = _apparent_frequencies(d, problem.hold)
     above = tuple(int(l) for l in np.flatnonzero(d * problem.hold.h >= np.pi)) if problem.hold.method == "exact" else ()
-    found = Excitation(
+    report = Excitation(
         samples=len(problem.u),
         dt=problem.hold.h,
         method=problem.hold.method,
@@ -183,20 +183,20 @@ def examine(
         remedies=(),
         time_unit=time_unit,
     )
-    return replace(found, remedies=_remedies(found, problem, amplitudes))
+    return replace(report, remedies=_remedies(report, problem, amplitudes))
 
 
 def _carried(problems: list[PortRecord]) -> int:
     """Largest number of modes for which there are more samples than unknowns."""
-    driven = any(one.driven for one in problems)
-    each = 1 + driven + 2 * sum(not one.from_rest for one in problems)
-    return max(0, (sum(one.samples for one in problems) - 1) // each)
+    driven = any(problem.driven for problem in problems)
+    each = 1 + driven + 2 * sum(not problem.from_rest for problem in problems)
+    return max(0, (sum(problem.samples for problem in problems) - 1) // each)
 
 
 def _refuse_many(n: int, most: int, problems: list[PortRecord]) -> None:
     """Refuse more modes than the records carry or than can be judged together in acceptable time and memory."""
     if n > most:
-        samples = sum(one.samples for one in problems)
+        samples = sum(problem.samples for problem in problems)
         raise IdentificationError(
             f"{_checks.shown(n)} modes are more than can be judged with {samples} observed samples; the largest number "
             f"here is {most}: ask for fewer, such as those of one band"
@@ -261,14 +261,14 @@ def _free_motion(problem: PortRecord, model: ModalForm) -> tuple[ComplexArray, f
     n = model.n
     columns = problem.seen(problem.sensitivities(model.d, model.kappa, np.zeros(n, complex)))[:, n:]
     with np.errstate(over="ignore", invalid="ignore"):  # what leaves the range of doubles is refused
-        left = problem.target - columns[:, :n] @ model.kappa
-        _checks.representable("the outputs of the model", left * left)
-    found = np.zeros(2 * n)
+        residual = problem.target - columns[:, :n] @ model.kappa
+        _checks.representable("the outputs of the model", residual * residual)
+    amplitudes = np.zeros(2 * n)
     if not problem.from_rest:
-        found = np.asarray(np.linalg.lstsq(columns[:, n:], left, rcond=None)[0])
-        left = left - columns[:, n:] @ found
-    spare = len(left) - (0 if problem.from_rest else 2 * n)
-    return found[:n] + 1j * found[n:], float(np.sqrt(left @ left / spare)) if spare > 0 else np.nan
+        amplitudes = np.asarray(np.linalg.lstsq(columns[:, n:], residual, rcond=None)[0])
+        residual = residual - columns[:, n:] @ amplitudes
+    spare = len(residual) - (0 if problem.from_rest else 2 * n)
+    return amplitudes[:n] + 1j * amplitudes[n:], float(np.sqrt(residual @ residual / spare)) if spare > 0 else np.nan
 
 
 def _of_order(problem: PortRecord, n: int, noise: float, time_unit: str | None) -> Excitation:
@@ -308,47 +308,51 @@ def _driven_zeros(d: Array, r: Array, band: ExcitedBand) -> tuple[float, ...]:
     return tuple(line for line in band.lines if (np.abs(zeros - line) < _AT_ZERO * band.bin).any())
 
 
-def _remedies(found: Excitation, problem: PortRecord, amplitudes: ComplexArray) -> tuple[str, ...]:
+def _remedies(report: Excitation, problem: PortRecord, amplitudes: ComplexArray) -> tuple[str, ...]:
     """What to change, each as an instruction, in the order in which to do it."""
     instructions = []
-    if found.above_nyquist:
-        instructions.append(f"sample with a step below {np.pi / found.d.max():.2g}")
-    same = [(j, k) for j, k in found.unresolved if abs(found.d[j] - found.d[k]) <= _SAME * found.d[k]]
+    if report.above_nyquist:
+        instructions.append(f"sample with a step below {np.pi / report.d.max():.2g}")
+    same = [(j, k) for j, k in report.unresolved if abs(report.d[j] - report.d[k]) <= _SAME * report.d[k]]
     for j, k in same:
         instructions.append(f"take modes {j + 1} and {k + 1}, of one frequency, as one")
-    span = _needed_span(found, same)
-    live = [name for one in (*found.blind, *found.nearly_blind, *found.artefacts) for name in one.parameters]
-    if any(found.r[int(name[2:]) - 1] > 0 for name in live if name[0] in "dr") and not same:
-        missing = found.information.deficiency
-        remedy = input_remedy(problem, found.d, found.r, amplitudes, found.band, missing=missing, lengthen=not span)
+    span = _needed_span(report, same)
+    live = [
+        name
+        for combination in (*report.blind, *report.nearly_blind, *report.artefacts)
+        for name in combination.parameters
+    ]
+    if any(report.r[int(name[2:]) - 1] > 0 for name in live if name[0] in "dr") and not same:
+        missing = report.information.deficiency
+        remedy = input_remedy(problem, report.d, report.r, amplitudes, report.band, missing=missing, lengthen=not span)
         instructions += [remedy] if remedy else []
-    if span > _LONGEST * found.samples * found.dt:
-        instructions.append(_instead_of_time(found, same))
+    if span > _LONGEST * report.samples * report.dt:
+        instructions.append(_instead_of_time(report, same))
     elif span:
-        unit = found.time_unit or "time units"
-        instructions.append(f"record for at least {span:.3g} {unit} ({int(np.ceil(span / found.dt))} samples)")
-    elif found.observed < len(found.names) and not instructions:
-        instructions.append(f"record at least {len(found.names) + 1} samples")
-    if found.uncertain:
-        worst = max(found._relative_error(name) for name in found.uncertain)
+        unit = report.time_unit or "time units"
+        instructions.append(f"record for at least {span:.3g} {unit} ({int(np.ceil(span / report.dt))} samples)")
+    elif report.observed < len(report.names) and not instructions:
+        instructions.append(f"record at least {len(report.names) + 1} samples")
+    if report.uncertain:
+        worst = max(report._relative_error(name) for name in report.uncertain)
         instructions.append(
             f"use an input at least {worst / _WANTED:.2g} times as strong, for errors of a tenth of each parameter"
         )
     return tuple(instructions)
 
 
-def _instead_of_time(found: Excitation, same: list[tuple[int, int]]) -> str:
+def _instead_of_time(report: Excitation, same: list[tuple[int, int]]) -> str:
     """What helps where no record that anybody would make is long enough."""
-    close = [pair for pair in found.unresolved if pair not in same]
+    close = [pair for pair in report.unresolved if pair not in same]
     if close:
-        j, k = min(close, key=lambda pair: abs(found.apparent[pair[0]] - found.apparent[pair[1]]))
+        j, k = min(close, key=lambda pair: abs(report.apparent[pair[0]] - report.apparent[pair[1]]))
         return f"take modes {j + 1} and {k + 1} as one: recording longer does not help"
     return "subtract the mean or the trend in place of a mode that slow: recording longer does not help"
 
 
-def _needed_span(found: Excitation, same: list[tuple[int, int]]) -> float:
+def _needed_span(report: Excitation, same: list[tuple[int, int]]) -> float:
     """Duration that resolves the closest modes, and shows a period of the slowest; 0 if the record does."""
-    gaps = [abs(found.apparent[j] - found.apparent[k]) for j, k in found.unresolved if (j, k) not in same]
-    gaps += [float(found.apparent[l]) for l in found.slow] if not found.sufficient else []
+    gaps = [abs(report.apparent[j] - report.apparent[k]) for j, k in report.unresolved if (j, k) not in same]
+    gaps += [float(report.apparent[l]) for l in report.slow] if not report.sufficient else []
     gaps = [gap for gap in gaps if gap > 0]
     return 2 * np.pi / min(gaps) if gaps else 0.0

@@ -151,11 +151,11 @@ class Excitation(Report, Frozen):
     @property
     def uncertain(self) -> tuple[str, ...]:
         """Frequencies and weights whose standard error exceeds their value, though they are not blind."""
-        found = []
+        names = []
         for key, value in (("d", self.d), ("r", self.r)):
             large = np.isfinite(self.stderr[key]) & (self.stderr[key] > value) & (value > 0)
-            found += [f"{key}_{l + 1}" for l in np.flatnonzero(large)]
-        return tuple(found)
+            names += [f"{key}_{l + 1}" for l in np.flatnonzero(large)]
+        return tuple(names)
 
     @property
     def sufficient(self) -> bool:
@@ -259,25 +259,25 @@ class Excitation(Report, Frozen):
         return [str(l + 1), f"{self.d[l]:.6g}", *d, f"{self.r[l]:.6g}", *r, *inflated, note]
 
 
-def _in_brief(found: Excitation) -> Iterator[str]:
+def _in_brief(report: Excitation) -> Iterator[str]:
     """One reason and one remedy."""
-    if found.blind and found.observed >= len(found.names):
-        lost = _lost_weights(found)
+    if report.blind and report.observed >= len(report.names):
+        lost = _lost_weights(report)
         so = f", so {lost} cannot be learned from this record" if lost else ""
-        yield f"Blind: {_first(found.blind)} can change without any change of the output{so}."
-    elif found.nearly_blind and not found.artefacts:
-        worst = found.nearly_blind[0].inflation
-        yield f"Hardly seen, with errors inflated up to {worst:.2g} times: {_first(found.nearly_blind)}."
+        yield f"Blind: {_first(report.blind)} can change without any change of the output{so}."
+    elif report.nearly_blind and not report.artefacts:
+        worst = report.nearly_blind[0].inflation
+        yield f"Hardly seen, with errors inflated up to {worst:.2g} times: {_first(report.nearly_blind)}."
     else:
-        yield from islice(_sentences(found), 1)
-    if found.remedies:
-        yield f"Remedy: {found.remedies[0]}."
+        yield from islice(_sentences(report), 1)
+    if report.remedies:
+        yield f"Remedy: {report.remedies[0]}."
 
 
-def _lost_weights(found: Excitation) -> str:
+def _lost_weights(report: Excitation) -> str:
     """Weights that the record does not determine, in words."""
-    weights = [name for name in found.blind_parameters if name.startswith("r")]
-    return "r" if len(weights) == found.n else listed(weights) if weights else ""
+    weights = [name for name in report.blind_parameters if name.startswith("r")]
+    return "r" if len(weights) == report.n else listed(weights) if weights else ""
 
 
 def _first(combinations: tuple[Combination, ...]) -> str:
@@ -286,87 +286,87 @@ def _first(combinations: tuple[Combination, ...]) -> str:
     return combinations[0].words + f", and {counted(more, 'other combination')}" * bool(more)
 
 
-def _sentences(found: Excitation) -> Iterator[str]:
+def _sentences(report: Excitation) -> Iterator[str]:
     """What the verdict rests on, the gravest first."""
-    if found.observed < len(found.names):
-        yield f"It has {counted(found.observed, 'observed sample')} for {counted(len(found.names), 'unknown')}."
-    if not found.sufficient:
-        yield from _of_blindness(found)
-        yield from _of_the_input(found)
-        yield from _of_errors(found)
-        yield from _of_time(found)
-    if found.scan is not None:
-        group = f"{found.n} modes {SPACING:g} bins apart" if found.n > 1 else "One mode"
-        where = "at " * bool(found.scan.shown) + str(found.scan)
-        yield f"{group}, tried at {len(found.scan.frequencies)} frequencies: the weights are shown {where}."
-    if found.remedies:
-        word = "Remedies" if len(found.remedies) > 1 else "Remedy"
-        yield f"{word}: " + "; ".join(found.remedies) + "."
+    if report.observed < len(report.names):
+        yield f"It has {counted(report.observed, 'observed sample')} for {counted(len(report.names), 'unknown')}."
+    if not report.sufficient:
+        yield from _of_blindness(report)
+        yield from _of_the_input(report)
+        yield from _of_errors(report)
+        yield from _of_time(report)
+    if report.scan is not None:
+        group = f"{report.n} modes {SPACING:g} bins apart" if report.n > 1 else "One mode"
+        where = "at " * bool(report.scan.shown) + str(report.scan)
+        yield f"{group}, tried at {len(report.scan.frequencies)} frequencies: the weights are shown {where}."
+    if report.remedies:
+        word = "Remedies" if len(report.remedies) > 1 else "Remedy"
+        yield f"{word}: " + "; ".join(report.remedies) + "."
 
 
 def _some(combinations: tuple[Combination, ...]) -> str:
     more = len(combinations) - _TOLD
-    shown = "; ".join(str(one) for one in combinations[:_TOLD])
+    shown = "; ".join(str(combination) for combination in combinations[:_TOLD])
     return shown + (f"; and {more} more" if more > 0 else "")
 
 
-def _of_blindness(found: Excitation) -> Iterator[str]:
-    if found.blind and found.observed >= len(found.names):
-        yield f"Blind: {_some(found.blind)} can change without any change of the output."
-    if lost := _lost_weights(found):
+def _of_blindness(report: Excitation) -> Iterator[str]:
+    if report.blind and report.observed >= len(report.names):
+        yield f"Blind: {_some(report.blind)} can change without any change of the output."
+    if lost := _lost_weights(report):
         yield f"So {lost} cannot be learned from this record, however little noise there is."
-    silent = [l + 1 for l in range(found.n) if found.r[l] == 0]
+    silent = [l + 1 for l in range(report.n) if report.r[l] == 0]
     if silent:
         yield f"Of {named_modes(silent)} r is 0, so that the input says nothing of the frequency."
-    if found.artefacts:
+    if report.artefacts:
         yield (
-            f"With an exact hold {_some(found.artefacts)} would be blind: what tells them apart here is the growth of "
+            f"With an exact hold {_some(report.artefacts)} would be blind: what tells them apart here is the growth of "
             "Euler's rule, an artefact that no real recording has."
         )
 
 
-def _of_the_input(found: Excitation) -> Iterator[str]:
-    shown = found.band.shown_weights
-    if not found.from_rest and found.information.deficiency >= found.n - shown > 0:
+def _of_the_input(report: Excitation) -> Iterator[str]:
+    shown = report.band.shown_weights
+    if not report.from_rest and report.information.deficiency >= report.n - shown > 0:
         most = f"at most {counted(int(shown), 'weight')}" if shown else "no weight"
         yield (
-            f"The input ({found.band}; order of excitation {found.band.order}) shows {most} r beside an unknown free "
-            f"motion, and the model has {found.n}."
+            f"The input ({report.band}; order of excitation {report.band.order}) shows {most} r beside an unknown free "
+            f"motion, and the model has {report.n}."
         )
-    unit = rate(found.time_unit)
-    for zero in found.driven_zeros:
+    unit = rate(report.time_unit)
+    for zero in report.driven_zeros:
         yield f"The line at {zero:.4g} {unit} drives a zero of the model, which does not answer it in the long run."
-    driven = [l for l in range(found.n) if found.r[l] > 0 and l not in found.above_nyquist]
-    outside = [l + 1 for l in driven if found.apparent[l] not in found.band]
-    if outside and found.band.intervals and found.scan is None:
-        where = listed([f"{found.apparent[l - 1]:.4g}" for l in outside])
+    driven = [l for l in range(report.n) if report.r[l] > 0 and l not in report.above_nyquist]
+    outside = [l + 1 for l in driven if report.apparent[l] not in report.band]
+    if outside and report.band.intervals and report.scan is None:
+        where = listed([f"{report.apparent[l - 1]:.4g}" for l in outside])
         yield f"Outside the excited band: {named_modes(outside)}, at {where} {unit}."
 
 
-def _of_errors(found: Excitation) -> Iterator[str]:
-    if found.nearly_blind:
-        worst = found.nearly_blind[0]
-        yield f"Hardly seen, with errors inflated up to {worst.inflation:.2g} times: {_some(found.nearly_blind)}."
-    if found.uncertain:
-        errors = [f"{found._relative_error(name):.2g} times {name}" for name in found.uncertain]
-        yield f"With noise of standard deviation {found.noise_std:.3g} the standard error is {listed(errors)}."
+def _of_errors(report: Excitation) -> Iterator[str]:
+    if report.nearly_blind:
+        worst = report.nearly_blind[0]
+        yield f"Hardly seen, with errors inflated up to {worst.inflation:.2g} times: {_some(report.nearly_blind)}."
+    if report.uncertain:
+        errors = [f"{report._relative_error(name):.2g} times {name}" for name in report.uncertain]
+        yield f"With noise of standard deviation {report.noise_std:.3g} the standard error is {listed(errors)}."
 
 
-def _of_time(found: Excitation) -> Iterator[str]:
-    unit = rate(found.time_unit)
-    for l in found.above_nyquist[:_TOLD]:
+def _of_time(report: Excitation) -> Iterator[str]:
+    unit = rate(report.time_unit)
+    for l in report.above_nyquist[:_TOLD]:
         yield (
-            f"Mode {l + 1}, at {found.d[l]:.4g} {unit}, lies above the Nyquist frequency {np.pi / found.dt:.4g} and "
-            f"looks like one at {found.apparent[l]:.4g}."
+            f"Mode {l + 1}, at {report.d[l]:.4g} {unit}, lies above the Nyquist frequency {np.pi / report.dt:.4g} and "
+            f"looks like one at {report.apparent[l]:.4g}."
         )
-    for j, k in found.unresolved[:_TOLD]:
+    for j, k in report.unresolved[:_TOLD]:
         yield (
-            f"Modes {j + 1} and {k + 1} are {abs(found.apparent[j] - found.apparent[k]):.2g} {unit} apart, less than "
-            f"the {found.band.bin:.2g} that the record resolves."
+            f"Modes {j + 1} and {k + 1} are {abs(report.apparent[j] - report.apparent[k]):.2g} {unit} apart, less than "
+            f"the {report.band.bin:.2g} that the record resolves."
         )
-    more = sum(max(0, len(told) - _TOLD) for told in (found.above_nyquist, found.unresolved))
+    more = sum(max(0, len(affected) - _TOLD) for affected in (report.above_nyquist, report.unresolved))
     if more:
         yield f"The same is true of {more} more."
-    if found.slow:
-        named = named_modes([l + 1 for l in found.slow]).capitalize()
-        yield f"{named} complete{'s' * (len(found.slow) == 1)} less than a period in the record."
+    if report.slow:
+        named = named_modes([l + 1 for l in report.slow]).capitalize()
+        yield f"{named} complete{'s' * (len(report.slow) == 1)} less than a period in the record."

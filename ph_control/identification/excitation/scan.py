@@ -64,10 +64,12 @@ def scan(problem: PortRecord, n: int, band: ExcitedBand) -> Scan:
     grid = np.concatenate([np.geomspace(problem.bin, top, min(_PLACES, few)), inside])
     grid = np.unique(grid[(grid >= problem.bin) & (grid <= top)])
     d = np.array([group(n, centre, problem) for centre in grid])
-    found = [model_information(problem, one, 1.0 / one, np.zeros(n, complex)) for one in d]
-    error = np.array([np.max(one.stderr(1.0)[n : 2 * n] * d[k]) for k, one in enumerate(found)])
+    informations = [
+        model_information(problem, frequencies, 1.0 / frequencies, np.zeros(n, complex)) for frequencies in d
+    ]
+    error = np.array([np.max(information.stderr(1.0)[n : 2 * n] * d[k]) for k, information in enumerate(informations)])
     best = error.min()
-    deficiency = np.array([one.deficiency for one in found])
+    deficiency = np.array([information.deficiency for information in informations])
     return Scan(grid, deficiency, error / best if np.isfinite(best) else error, band.time_unit)
 
 

@@ -144,23 +144,23 @@ def fit_many(
     rng = pem_options.get("rng")
     if rng is not None and not _checks.is_whole(rng):
         raise StructureError(f"rng is {_checks.shown(rng)}; expected a whole number, the seed of each fit")
-    found, total = _listed(recordings)
+    listed, total = _listed(recordings)
     fit = FitAndKeep(pem_options, reader, None if store is None else _folder(store))
     modes: dict[int, Modes] = {}
     failed, whole = 0, False
-    with warnings.catch_warnings(), closing(completed(fit, found, workers)) as ended:
+    with warnings.catch_warnings(), closing(completed(fit, listed, workers)) as ended:
         # what the data do not show is in each result
         warnings.simplefilter("ignore", IdentifiabilityWarning)
         try:
-            for place, one, error in ended:
+            for place, recording_modes, error in ended:
                 if isinstance(error, OSError):  # the store cannot be written: no fit would be kept
                     raise error
                 # without a result: its process died, or it cannot travel to one
-                one = one or Modes(f"recording {place}", f"{type(error).__name__}: {error}")
-                modes[place] = one
-                failed += one.order < 0
+                recording_modes = recording_modes or Modes(f"recording {place}", f"{type(error).__name__}: {error}")
+                modes[place] = recording_modes
+                failed += recording_modes.order < 0
                 if callback is not None:
-                    callback(RecordingFitted(len(modes), failed, total, one.name, one.message))
+                    callback(RecordingFitted(len(modes), failed, total, recording_modes.name, recording_modes.message))
             whole = True
         except (KeyboardInterrupt, StopIteration):
             pass
@@ -173,7 +173,7 @@ def _listed(recordings: Any) -> tuple[Any, int | None]:
         recordings = [recordings]
     # systems of python-control have entries, too
     single = isinstance(recordings, TimeResponseData | InputOutputSystem | np.ndarray) or is_data_frame(recordings)
-    pair = isinstance(recordings, tuple) and any(isinstance(one, np.ndarray) for one in recordings)
+    pair = isinstance(recordings, tuple) and any(isinstance(entry, np.ndarray) for entry in recordings)
     if single or pair or not np.iterable(recordings):
         raise StructureError(
             f"recordings is {_checks.shown(recordings)}; expected a list, or another iterable, of recordings: pass "
@@ -191,7 +191,7 @@ def _folder(store: str | os.PathLike[str]) -> Path:
     if path.exists() and not path.is_dir():
         raise OutputExistsError(f"store is {path}, a file; name a folder, which is made if it is not there")
     path.mkdir(parents=True, exist_ok=True)
-    for left in path.glob(".ph_control-*.tmp"):  # by a process that was killed as it wrote
-        if time.time() - left.stat().st_mtime > _LEFT_BEHIND:
-            left.unlink(missing_ok=True)
+    for leftover in path.glob(".ph_control-*.tmp"):  # by a process that was killed as it wrote
+        if time.time() - leftover.stat().st_mtime > _LEFT_BEHIND:
+            leftover.unlink(missing_ok=True)
     return path.resolve()

@@ -191,14 +191,15 @@ def table_of(modes: Mapping[int, Modes], complete: bool) -> FitTable:
     """Table of what was found of each recording, by its place."""
     rows, shapes = [], []
     for place in sorted(modes):
-        one = modes[place]
+        recording = modes[place]
         seen = [(-1, np.full(4, np.nan), np.zeros(0, complex))]
-        if one.order > 0:
-            seen = list(zip(range(one.order), one.numbers, one.shapes, strict=True))
+        if recording.order > 0:
+            seen = list(zip(range(recording.order), recording.numbers, recording.shapes, strict=True))
         for mode, numbers, shape in seen:
-            rows.append(
-                (place, one.name, mode, *numbers, one.fit_percent, one.structure, one.order, one.message, one.file)
-            )
+            rows.append((
+                place, recording.name, mode, *numbers, recording.fit_percent, recording.structure, recording.order,
+                recording.message, recording.file,
+            ))  # fmt: skip
             shapes.append(shape)
     widths = {k: max([1, *(len(row[k]) for row in rows)]) for k in (1, 8, 10, 11)}
     kinds = {
@@ -206,7 +207,7 @@ def table_of(modes: Mapping[int, Modes], complete: bool) -> FitTable:
         "damping_ratio": "f8", "damping_ratio_stderr": "f8", "fit_percent": "f8", "structure": f"U{widths[8]}",
         "order": "i4", "message": f"U{widths[10]}", "result": f"U{widths[11]}",
     }  # fmt: skip
-    known = all(one.time_unit for one in modes.values() if one.order > 0)
+    known = all(recording.time_unit for recording in modes.values() if recording.order > 0)
     table = np.array(rows, dtype=list(kinds.items()))
     return FitTable(table, tuple(shapes), complete, "Hz" if known else "1/time")
 

@@ -47,9 +47,9 @@ def sources(recordings: Iterable[Any]) -> Iterator[OneRecording]:
             continue
         name = os.fspath(data)
         # a file that there is may be called like a pattern
-        found = [] if os.path.exists(name) else sorted(glob.glob(name, recursive=True))
+        files = [] if os.path.exists(name) else sorted(glob.glob(name, recursive=True))
         # other processes may be in another folder
-        yield from (OneRecording(one, Path(os.path.abspath(one))) for one in found or [name])
+        yield from (OneRecording(file, Path(os.path.abspath(file))) for file in files or [name])
 
 
 def _plain(data: Any) -> Any:
@@ -137,31 +137,31 @@ class FitAndKeep:
         return self.store / f"{stem[:_LETTERS]}-{mark.hexdigest()[:20]}.json"
 
 
-def _tell(thing: Any, write: Callable[[bytes], None]) -> None:
-    """Write what tells an object from others, the same in every process."""
-    write(f"<{type(thing).__qualname__}>".encode())
-    if isinstance(thing, np.ndarray):
-        write(f"{thing.dtype.str}{thing.shape}".encode())
-        write(np.ascontiguousarray(thing).tobytes())
-    elif isinstance(thing, Mapping):
-        for key in sorted(thing):
+def _tell(value: Any, write: Callable[[bytes], None]) -> None:
+    """Write bytes that identify the content of an object, the same in every process, for a hash."""
+    write(f"<{type(value).__qualname__}>".encode())
+    if isinstance(value, np.ndarray):
+        write(f"{value.dtype.str}{value.shape}".encode())
+        write(np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, Mapping):
+        for key in sorted(value):
             write(str(key).encode() + b"=")
-            _tell(thing[key], write)
-    elif isinstance(thing, list | tuple):
-        for one in thing:
-            _tell(one, write)
-    elif is_data_frame(thing):
-        for column in thing.columns:
+            _tell(value[key], write)
+    elif isinstance(value, list | tuple):
+        for element in value:
+            _tell(element, write)
+    elif is_data_frame(value):
+        for column in value.columns:
             write(str(column).encode())
-            _tell(np.asarray(thing[column]), write)
-    elif isinstance(thing, functools.partial):
-        _tell([thing.func, thing.args, thing.keywords], write)
-    elif callable(thing) and hasattr(thing, "__qualname__"):
-        write(f"{thing.__module__}.{thing.__qualname__}".encode())
-    elif hasattr(thing, "__dict__"):
+            _tell(np.asarray(value[column]), write)
+    elif isinstance(value, functools.partial):
+        _tell([value.func, value.args, value.keywords], write)
+    elif callable(value) and hasattr(value, "__qualname__"):
+        write(f"{value.__module__}.{value.__qualname__}".encode())
+    elif hasattr(value, "__dict__"):
         try:
-            write(document_of(thing).encode())
+            write(document_of(value).encode())
         except StructureError:  # of what is no model, such as a time response
-            _tell(vars(thing), write)
+            _tell(vars(value), write)
     else:
-        write(repr(thing).encode())
+        write(repr(value).encode())

@@ -41,13 +41,13 @@ def tracks_plot(
         for row in range(count + 1):
             drawn.lines[row, 0] = []
         for row, k in [(row, k) for row, group in enumerate(groups) for k in group]:
-            one, middle = tracks[k], float(np.median(tracks[k].hertz))
+            track, middle = tracks[k], float(np.median(tracks[k].hertz))
             size = 100 / middle if relative else 1.0
-            shown, error = size * (one.hertz - middle * relative), size * width * one.hertz_stderr
+            shown, error = size * (track.hertz - middle * relative), size * width * track.hertz_stderr
             named = {"color": f"C{k % 10}", "label": f"mode {k + 1} ({middle:.4g} {unit})"}
-            drawn.lines[row, 0] += _curve(above[row], one.recording, shown, error, named)
-            part = 100 * one.damping_ratio, 100 * width * one.damping_ratio_stderr
-            drawn.lines[count, 0] += _curve(below, one.recording, *part, named)
+            drawn.lines[row, 0] += _curve(above[row], track.recording, shown, error, named)
+            part = 100 * track.damping_ratio, 100 * width * track.damping_ratio_stderr
+            drawn.lines[count, 0] += _curve(below, track.recording, *part, named)
         for axis in above:
             limits = axis.get_ylim()
             if not relative:

@@ -65,11 +65,12 @@ class ModeTracks(Report, Frozen):
         unit = self.frequency_unit
         rows = [["mode", "recordings", f"first {unit}", f"last {unit}", "change %", "damping %", "seen in"]]
         for k in range(len(self)):
-            one = self[k]
-            first, last = one["hertz"][0], one["hertz"][-1]
+            track = self[k]
+            first, last = track["hertz"][0], track["hertz"][-1]
             rows.append([
-                str(k + 1), str(len(one)), f"{first:.6g}", f"{last:.6g}", f"{100 * (last / first - 1):+.3f}",
-                f"{100 * np.median(one['damping_ratio']):.3g}", f"{one['recording'][0]} to {one['recording'][-1]}",
+                str(k + 1), str(len(track)), f"{first:.6g}", f"{last:.6g}", f"{100 * (last / first - 1):+.3f}",
+                f"{100 * np.median(track['damping_ratio']):.3g}",
+                f"{track['recording'][0]} to {track['recording'][-1]}",
             ])  # fmt: skip
         return "\n".join([self._headline(), *aligned(rows)])
 
@@ -151,13 +152,13 @@ class _Followed:
         return float(np.median(y + slope * (place - x)))
 
     def unlikeness(self, shapes: Sequence[ComplexArray]) -> Array:
-        """`1 - MAC`, the mean over its last shapes, of each of these; 0 where there is one output."""
-        found = np.zeros(len(shapes))
+        """`1 - MAC` of each given shape, the mean over the last shapes of the mode; 0 where there is one output."""
+        dissimilarity = np.zeros(len(shapes))
         for k, shape in enumerate(shapes):
-            held = [one for one in self.shapes if len(one) == len(shape)]
+            held = [previous for previous in self.shapes if len(previous) == len(shape)]
             if len(shape) > 1 and held:
-                found[k] = 1.0 - float(mac(shape[None], np.array(held)).mean())
-        return found
+                dissimilarity[k] = 1.0 - float(mac(shape[None], np.array(held)).mean())
+        return dissimilarity
 
 
 def followed(
@@ -171,7 +172,7 @@ def followed(
     logs = np.log(np.where(table["hertz"] > 0, table["hertz"], 1.0))
     for place in np.unique(table["recording"][here]).tolist():
         rows = here[table["recording"][here] == place]
-        alive = [k for k, one in enumerate(known) if place - one.places[-1] <= gap + 1]
+        alive = [k for k, mode in enumerate(known) if place - mode.places[-1] <= gap + 1]
         distance = np.array([np.abs(logs[rows] - known[k].expected(place, window)) for k in alive]) / tolerance
         unlike = np.array([known[k].unlikeness([shapes[row] for row in rows]) for k in alive])
         cost = np.zeros((len(alive), len(rows)))
@@ -186,7 +187,7 @@ def followed(
                 ids[row] = len(known)
                 known.append(_Followed())
             known[ids[row]].add(place, float(logs[row]), shapes[row], window)
-    kept = [k for k, one in enumerate(known) if len(one.places) >= shortest]
+    kept = [k for k, mode in enumerate(known) if len(mode.places) >= shortest]
     numbers = np.full(len(known) + 1, -1)
     numbers[kept] = np.arange(len(kept))
     return numbers[ids]

@@ -162,13 +162,13 @@ def _correlated(factor: Array, slack: Array, count: int, random: np.random.Gener
     """Draws `F z` with `z` standard normal, restricted to `F z + slack >= 0`."""
     near = slack < _OUT_OF_REACH
     # coordinates of z, turned so that the restricted components depend on the first few alone
-    left, sigma, right = np.linalg.svd(factor[near], full_matrices=True)
+    U, sigma, Vh = np.linalg.svd(factor[near], full_matrices=True)
     few = int((sigma > max(factor.shape) * _checks.EPS * sigma.max(initial=0.0)).sum())
-    normals = left[:, :few] * sigma[:few]
+    normals = U[:, :few] * sigma[:few]
     z = np.empty((count, factor.shape[1]))
     z[:, :few] = _inside(normals, slack[near], count, random)
     z[:, few:] = random.standard_normal((count, factor.shape[1] - few))
-    return z @ (factor @ right.T).T
+    return z @ (factor @ Vh.T).T
 
 
 def _inside(normals: Array, slack: Array, count: int, random: np.random.Generator) -> Array:
@@ -234,10 +234,10 @@ class Draws(Frozen):
 
     def _blocks(self, name: str, points: ArrayLike, at_once: int) -> Iterator[Array]:
         """Points in turn, so many of them that tables with these entries at each stay small."""
-        at = _checks.real_array(name, points, 1)
-        _checks.in_range(name, at)
+        grid = _checks.real_array(name, points, 1)
+        _checks.in_range(name, grid)
         size = max(1, _BLOCK // max(1, at_once))
-        return (at[k : k + size] for k in range(0, len(at), size))
+        return (grid[k : k + size] for k in range(0, len(grid), size))
 
     def _percentiles(self, tables: Iterator[Array], level: float) -> Array:
         """Ends of a band, shape (2, K), of tables (points, k) one after the other."""

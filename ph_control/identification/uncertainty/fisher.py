@@ -74,8 +74,8 @@ class Combination:
     def __str__(self) -> str:
         if len(self.parameters) == 1:
             return self.words
-        told = zip(self.parameters, self.coefficients, self.weights, strict=True)
-        terms = [f"{name} {value:+.3g}" for name, value, weight in told if weight >= _MINOR][:_LISTED]
+        components = zip(self.parameters, self.coefficients, self.weights, strict=True)
+        terms = [f"{name} {value:+.3g}" for name, value, weight in components if weight >= _MINOR][:_LISTED]
         return f"{self.words} (in the ratio {', '.join(terms)})"
 
 
@@ -202,8 +202,10 @@ class Information(Frozen):
             return ()
         pivots = qr(null, mode="r", pivoting=True)[1][: len(null)]
         sparse = np.linalg.solve(null[:, pivots], null) * (self._blind_part > 0)
-        found = [self._combination(v, np.inf) for v in sparse]
-        return tuple(sorted(found, key=lambda one: [self.names.index(name) for name in one.parameters]))
+        combinations = [self._combination(v, np.inf) for v in sparse]
+        return tuple(
+            sorted(combinations, key=lambda combination: [self.names.index(name) for name in combination.parameters])
+        )
 
     @cached_property
     def nearly_blind(self) -> tuple[Combination, ...]:
@@ -299,11 +301,11 @@ def joint_information(
     problems: Sequence[PortRecord], d: Array, r: Array, states: Sequence[ComplexArray]
 ) -> Information:
     """Information of `(d, r)` in several records together; initial states are unknown where they may move."""
-    n, samples = len(d), sum(len(one.target) for one in problems)
+    n, samples = len(d), sum(len(problem.target) for problem in problems)
     parts = []
-    for one, amplitudes in zip(problems, states, strict=True):
-        J = one.seen(one.sensitivities(d, r * d, amplitudes))
-        parts.append(_of_modes(J[:, : 2 * n] if one.from_rest else J, n, samples))
+    for problem, amplitudes in zip(problems, states, strict=True):
+        J = problem.seen(problem.sensitivities(d, r * d, amplitudes))
+        parts.append(_of_modes(J[:, : 2 * n] if problem.from_rest else J, n, samples))
     return Information.of(in_weights(np.concatenate(parts), d, r), parameter_names(n, True), rows=samples)
 
 

@@ -53,10 +53,10 @@ class ModalSamples(Draws):
         object.__setattr__(self, "feedthrough", _checks.real_array("feedthrough", self.feedthrough, 3))
         k, n, p, m = self.residues.shape
         modes = int(np.sum(self.poles[0].imag != 0)) if k and self.poles.size else self.shapes.shape[1]
-        found = self.poles.shape, self.feedthrough.shape, self.shapes.shape
-        if found != ((k, n), (k, p, m), (k, modes, p)):
+        actual = self.poles.shape, self.feedthrough.shape, self.shapes.shape
+        if actual != ((k, n), (k, p, m), (k, modes, p)):
             raise StructureError(
-                f"poles, feedthrough, shapes have shapes {found}; expected {(k, n)}, {(k, p, m)}, {(k, modes, p)}"
+                f"poles, feedthrough, shapes have shapes {actual}; expected {(k, n)}, {(k, p, m)}, {(k, modes, p)}"
             )
         object.__setattr__(self, "delay", np.array(np.broadcast_to(self.delay, p), float))
         super().__post_init__()
@@ -99,8 +99,8 @@ class ModalSamples(Draws):
         Examples
         --------
         >>> from ph_control import ModalSamples
-        >>> one = ModalSamples([[-0.1 + 1j]], [[[[0.5 + 0j]]]], [[[0.0]]], [[[1.0 + 0j]]])
-        >>> one.freqresp([0.0]).round(3)
+        >>> samples = ModalSamples([[-0.1 + 1j]], [[[[0.5 + 0j]]]], [[[0.0]]], [[[1.0 + 0j]]])
+        >>> samples.freqresp([0.0]).round(3)
         array([[0.099+0.j]])
         """
         response, is_pole = self._response(output, input), self._is_pole(output, input)
@@ -277,10 +277,10 @@ class ModalSamples(Draws):
             least = 1j * np.maximum(_checks.EPS * np.abs(p), np.finfo(float).tiny)
             ahead, behind = (np.where(gap == 0, least, gap) for gap in (1j * w - p, 1j * w - p.conj()))
             terms = residues / ahead + (p.imag != 0) * residues.conj() / behind
-            found = terms.sum(axis=-1) + through
+            values = terms.sum(axis=-1) + through
             if self.background is not None:
-                found = found + self.background.entry(output, input).response(w.ravel())[0, 0][:, None]
-            return np.asarray(found * np.exp(-1j * self.delay[output] * w[..., 0]))
+                values = values + self.background.entry(output, input).response(w.ravel())[0, 0][:, None]
+            return np.asarray(values * np.exp(-1j * self.delay[output] * w[..., 0]))
 
         return response
 
@@ -288,16 +288,16 @@ class ModalSamples(Draws):
         self, name: str, points: ArrayLike, values: Callable[[Array, ComplexArray], NDArray[Any]]
     ) -> Iterator[NDArray[Any]]:
         """Values at points (K, k), a block of points at a time."""
-        return (values(at[:, None, None], self.poles) for at in self._blocks(name, points, self.poles.size))
+        return (values(block[:, None, None], self.poles) for block in self._blocks(name, points, self.poles.size))
 
 
 def _complex_array(name: str, value: Any, ndim: int) -> ComplexArray:
     """Check finite complex numbers of so many dimensions."""
     try:
-        found = np.array(value, complex)
+        array = np.array(value, complex)
     except (TypeError, ValueError, OverflowError):
         raise StructureError(f"{name} does not hold complex numbers: {_checks.shown(value)}; pass an array") from None
-    if found.ndim != ndim:
-        raise StructureError(f"{name} has {found.ndim} dimensions (shape {found.shape}), expected {ndim}")
-    _checks.finite(name, found)
-    return found
+    if array.ndim != ndim:
+        raise StructureError(f"{name} has {array.ndim} dimensions (shape {array.shape}), expected {ndim}")
+    _checks.finite(name, array)
+    return array

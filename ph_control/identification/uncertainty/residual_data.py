@@ -71,21 +71,21 @@ class ResidualData:
     @cached_property
     def centred(self) -> Array:
         """Residuals less the mean of their record, 0 where missing."""
-        found = self.e.copy()
+        residuals = self.e.copy()
         for part in self.parts:
-            found[part] -= found[part].sum() / max(1, int(self.seen[part].sum()))
-        return np.where(self.seen, found, 0.0)
+            residuals[part] -= residuals[part].sum() / max(1, int(self.seen[part].sum()))
+        return np.where(self.seen, residuals, 0.0)
 
     @cached_property
     def v(self) -> Array:
         """Input less its mean over the record; 0 where it only rounds about that."""
-        found = np.zeros(len(self.u))
+        centred_input = np.zeros(len(self.u))
         for part in self.parts:
             u = self.u[part]
             v = u - u.mean()
             if np.max(np.abs(v)) > len(v) * EPS * np.max(np.abs(u)):
-                found[part] = v
-        return found
+                centred_input[part] = v
+        return centred_input
 
     @cached_property
     def own(self) -> list[Array]:
@@ -135,9 +135,11 @@ def noise_scales(residuals: Sequence[Array]) -> list[float]:
 
     None is taken as smaller than a millionth of the largest, nor a single record in other than its own unit.
     """
-    seen = [~np.isnan(one) for one in residuals]
-    return scales_of_noise([float(np.sum(one**2, where=kept)) for one, kept in zip(residuals, seen, strict=True)],
-                           [int(kept.sum()) for kept in seen])  # fmt: skip
+    seen = [~np.isnan(residual) for residual in residuals]
+    return scales_of_noise(
+        [float(np.sum(residual**2, where=kept)) for residual, kept in zip(residuals, seen, strict=True)],
+        [int(kept.sum()) for kept in seen],
+    )
 
 
 def scales_of_noise(powers: Sequence[float], counts: Sequence[int]) -> list[float]:

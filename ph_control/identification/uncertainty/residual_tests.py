@@ -71,13 +71,13 @@ def autocorrelation(data: ResidualData, confidence: float) -> tuple[Correlation,
             products[row] += e[k:] @ e[:-k]
     if data.power == 0:
         return Correlation(lags, np.zeros(len(lags)), np.full(len(lags), np.inf), pairs), 0.0, 1.0
-    found = products / data.power
+    correlations = products / data.power
     mean, variance = _moments(data, lags, pairs)
     usable = (pairs > 0) & (variance > 0)
     variance = np.where(usable, variance, np.nan)
-    statistic = float(np.nansum((found - mean) ** 2 / variance))
+    statistic = float(np.nansum((correlations - mean) ** 2 / variance))
     per_pair = data.count / np.where(usable, pairs, 1)
-    values = np.where(usable, (found - mean) * per_pair, np.nan)
+    values = np.where(usable, (correlations - mean) * per_pair, np.nan)
     band = norm.isf(0.5 * (1 - confidence)) * np.sqrt(variance) * per_pair
     p_value = float(chi2.sf(statistic, int(usable.sum()))) if usable.any() else np.nan
     return Correlation(lags, values, band, pairs), statistic, p_value
@@ -142,17 +142,17 @@ def ljung_box(
     """
     if shared is None and local is None:
         return _of_noise_alone(residuals, lags)
-    given = [np.asarray(one[:]) for one in residuals]
-    lengths = tuple(len(one) for one in given)
-    largest = max((size_of(one) for one in given), default=0.0)
-    scales = noise_scales([one / (largest or 1.0) for one in given])
-    joined = np.concatenate([np.zeros(0), *(one / size for one, size in zip(given, scales, strict=True))])
+    given = [np.asarray(residual[:]) for residual in residuals]
+    lengths = tuple(len(residual) for residual in given)
+    largest = max((size_of(residual) for residual in given), default=0.0)
+    scales = noise_scales([residual / (largest or 1.0) for residual in given])
+    joined = np.concatenate([np.zeros(0), *(residual / size for residual, size in zip(given, scales, strict=True))])
     count = min(lags, int((~np.isnan(joined)).sum()) // _SAMPLES_PER_LAG, max(lengths, default=0) - 1)
     if count < 1 or largest == 0:
         return 1.0
     directions = np.zeros((len(joined), 0))
     if shared is not None:
-        directions = np.concatenate([one / size for one, size in zip(shared, scales, strict=True)])
+        directions = np.concatenate([tangent / size for tangent, size in zip(shared, scales, strict=True)])
     data = ResidualData(
         joined / largest, np.zeros(len(joined)), directions, count, lengths, tuple(local) if local is not None else ()
     )
@@ -162,12 +162,12 @@ def ljung_box(
 
 def _of_noise_alone(residuals: Sequence[Signal], lags: int) -> float:
     """The p-value with nothing fitted, `N (N + 2) sum rho_k^2 / pairs_k`; block by block."""
-    unit = max((size_of(one[part]) for one in residuals for part in blocks(len(one))), default=0.0)
+    unit = max((size_of(residual[part]) for residual in residuals for part in blocks(len(residual))), default=0.0)
     powers, counts = [], []
-    for one in residuals:
+    for residual in residuals:
         power, count = 0.0, 0
-        for part in blocks(len(one)):
-            values = np.asarray(one[part]) / (unit or 1.0)
+        for part in blocks(len(residual)):
+            values = np.asarray(residual[part]) / (unit or 1.0)
             seen = ~np.isnan(values)
             power, count = power + float(np.sum(values**2, where=seen)), count + int(seen.sum())
         powers.append(power)
@@ -178,10 +178,10 @@ def _of_noise_alone(residuals: Sequence[Signal], lags: int) -> float:
         return 1.0
     scales = scales_of_noise(powers, counts)
     pairs, products, power = np.zeros(most), np.zeros(most), 0.0
-    for one, scale in zip(residuals, scales, strict=True):
+    for residual, scale in zip(residuals, scales, strict=True):
         past = np.full(most, np.nan)
-        for part in blocks(len(one)):
-            values = np.concatenate([past, np.asarray(one[part]) / (unit * scale)])
+        for part in blocks(len(residual)):
+            values = np.concatenate([past, np.asarray(residual[part]) / (unit * scale)])
             seen, past = ~np.isnan(values), values[-most:]
             whole, values = bool(seen.all()), np.where(seen, values, 0.0)
             power += float(values[most:] @ values[most:])
@@ -281,7 +281,7 @@ def influence(data: ResidualData) -> Influence:
 
 
 def _eliminated(data: ResidualData, whitening: Array) -> tuple[Array, int, list[int]]:
-    """Regressors of unit length and the residuals, as a few rows, without what was fitted to single records.
+    """Regressors of unit length and the residuals, as a few rows, after elimination of what each record fits alone.
 
     The columns are what was fitted to all and the past of the residuals, a constant in each record, the inputs at and
     before each residual, those after it, and the residual.  With the degrees of freedom that are left, and how many
@@ -294,12 +294,12 @@ def _eliminated(data: ResidualData, whitening: Array) -> tuple[Array, int, list[
     lengths = np.sqrt(sum(np.sum(factor[:, -width:] ** 2, axis=0) for factor, _ in factors))
     lengths[-1] = 1.0  # the residual keeps its size
     scale = 1.0 / np.where(lengths > 0, lengths, 1.0)
-    found, free = [], sum(samples for _, samples in factors)
+    remainders, free = [], sum(samples for _, samples in factors)
     for (factor, _), columns in zip(factors, data.own, strict=True):
         part = eliminate(factor, columns.shape[1], len(columns), RANK)
-        found.append(part.below * scale)
+        remainders.append(part.below * scale)
         free -= len(part.above)
-    rows = np.concatenate(found)
+    rows = np.concatenate(remainders)
     return (reduced(rows) if len(rows) > width else rows), free, counts
 
 
@@ -348,10 +348,10 @@ def _whitening(data: ResidualData) -> Array:
     factor = factor_of(data.e[rows - np.concatenate([np.arange(1, most + 1), [0]])[:, None]])
     R, explained = factor[:-1, :-1], factor[:-1, -1]
     total = float(np.sum(factor[:, -1] ** 2))
-    left = np.maximum(total - np.cumsum(np.concatenate([[0.0], explained**2])), EPS * total)
-    order = int(np.argmin(len(rows) * np.log(left) + np.arange(most + 1) * np.log(len(rows))))
-    found = np.linalg.lstsq(R[:order, :order], explained[:order], rcond=None)[0]
-    return np.concatenate([[1.0], -found])
+    losses = np.maximum(total - np.cumsum(np.concatenate([[0.0], explained**2])), EPS * total)
+    order = int(np.argmin(len(rows) * np.log(losses) + np.arange(most + 1) * np.log(len(rows))))
+    coefficients = np.linalg.lstsq(R[:order, :order], explained[:order], rcond=None)[0]
+    return np.concatenate([[1.0], -coefficients])
 
 
 def _successive_tests(rhs: Array, fitted: Array, steps: list[Array], free: int) -> list[float]:
@@ -359,7 +359,7 @@ def _successive_tests(rhs: Array, fitted: Array, steps: list[Array], free: int) 
     basis = orthonormal_of_unit(fitted)
     rhs = rhs - basis @ (basis.T @ rhs)
     free -= basis.shape[1]
-    found = []
+    p_values = []
     for columns in steps:
         beside = columns
         for _ in range(2):  # once more for what rounding leaves
@@ -369,9 +369,11 @@ def _successive_tests(rhs: Array, fitted: Array, steps: list[Array], free: int) 
         rhs = rhs - added @ gained
         basis = np.concatenate([basis, added], axis=1)
         free -= added.shape[1]
-        left = float(rhs @ rhs)
-        if added.shape[1] == 0 or free < _FEWEST or left == 0:
-            found.append(np.nan)
+        remainder = float(rhs @ rhs)
+        if added.shape[1] == 0 or free < _FEWEST or remainder == 0:
+            p_values.append(np.nan)
         else:
-            found.append(float(f.sf(float(gained @ gained) / added.shape[1] / (left / free), added.shape[1], free)))
-    return found
+            p_values.append(
+                float(f.sf(float(gained @ gained) / added.shape[1] / (remainder / free), added.shape[1], free))
+            )
+    return p_values

@@ -81,18 +81,18 @@ class InCoordinates:
         True
         """
         _checks.choice("form", form, FORMS)
-        one = chosen_experiment(self.experiments, experiment)
-        if not isinstance(one.record, Record):
+        experiment_fit = chosen_experiment(self.experiments, experiment)
+        if not isinstance(experiment_fit.record, Record):
             raise StructureError("a frequency response has no initial state; only records in time have one")
-        if self.structure != "lossless" or not one.record.driven:
+        if self.structure != "lossless" or not experiment_fit.record.driven:
             raise StructureError(
                 f"the forms of the paper are those of driven lossless models, and this fit is {self.structure!r}: use "
                 "initial_state, a state of observed_system"
             )
         if form == "ph":
-            return np.array(one.initial_state)
+            return np.array(experiment_fit.initial_state)
         # velocity of the port, whatever was measured of it
-        amplitudes = one.free_amplitudes.conj() / output_weight(self.d, self.quantity)[0]
+        amplitudes = experiment_fit.free_amplitudes.conj() / output_weight(self.d, self.quantity)[0]
         if form == "oh":
             state, digits = observable_state(self.d, amplitudes)
         else:

@@ -112,7 +112,7 @@ class Comparison(Report, HeldData, Frozen):
     @property
     def predicted(self) -> NDArray[Any]:
         """Output of each model, shape (k, T), all experiments one after the other; (k, p, T) or (k, p, m, T)."""
-        return _checks.readonly(np.concatenate([one.predicted for one in self.experiments], axis=-1))
+        return _checks.readonly(np.concatenate([experiment.predicted for experiment in self.experiments], axis=-1))
 
     @property
     def _several(self) -> bool:
@@ -126,7 +126,8 @@ class Comparison(Report, HeldData, Frozen):
         """Table of the models in the order given; of several channels, of their outputs as well."""
         width = max(5, *map(len, self.labels))
         lines = [
-            f"Fit to {self._outputs}: {_described([one.record for one in self.experiments], self.initial_state)}",
+            f"Fit to {self._outputs}: "
+            f"{_described([experiment.record for experiment in self.experiments], self.initial_state)}",
             f"  {'model':{width}}  {'fit':>14}" + "  RMS error" * (not self._several),
         ]
         for k, (label, fit, error) in enumerate(zip(self.labels, self.fit_percent, self.rms_error, strict=True)):
@@ -141,7 +142,7 @@ class Comparison(Report, HeldData, Frozen):
         return f"fit to {self._outputs}: " + ", ".join(f"{label} {percent(fit)}" for label, fit in fits)
 
     def _note(self, k: int) -> str:
-        own = sum(one.own_record[k] for one in self.experiments)
+        own = sum(experiment.own_record[k] for experiment in self.experiments)
         if not own:
             return ""
         if len(self.experiments) == 1:
@@ -170,11 +171,13 @@ class Comparison(Report, HeldData, Frozen):
         columns = [max(11, len(label)) for label in self.labels]
         names = "  ".join(f"{label:>{size}}" for label, size in zip(self.labels, columns, strict=True))
         lines = ["", f"  experiment  samples  {names}"]
-        for k, one in enumerate(self.experiments[:_SHOWN], start=1):
-            fits = "  ".join(f"{percent(fit):>{size}}" for fit, size in zip(one.fit_percent, columns, strict=True))
-            lines.append(f"  {k:10d}  {one.record.samples:7d}  {fits}   {one.record.title}".rstrip())
-        left = len(self.experiments) - _SHOWN
-        return [*lines, f"  and {left} more"] if left > 0 else lines
+        for k, experiment in enumerate(self.experiments[:_SHOWN], start=1):
+            fits = "  ".join(
+                f"{percent(fit):>{size}}" for fit, size in zip(experiment.fit_percent, columns, strict=True)
+            )
+            lines.append(f"  {k:10d}  {experiment.record.samples:7d}  {fits}   {experiment.record.title}".rstrip())
+        remaining = len(self.experiments) - _SHOWN
+        return [*lines, f"  and {remaining} more"] if remaining > 0 else lines
 
     def plot(self, experiment: int = 0, **kwargs: Any) -> ct.ControlPlot:
         """Picture of the outputs and errors of all models; of a response, magnitude, phase and error over frequency.
@@ -203,31 +206,31 @@ class Comparison(Report, HeldData, Frozen):
         --------
         See `compare`.
         """
-        one = chosen_experiment(self.experiments, experiment)
-        record, which = one.record, self._which(experiment)
+        compared = chosen_experiment(self.experiments, experiment)
+        record, which = compared.record, self._which(experiment)
         kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), record)
         kwargs["labels"] = [
-            f"{label} ({percent(fit)})" for label, fit in zip(self.labels, one.fit_percent, strict=True)
+            f"{label} ({percent(fit)})" for label, fit in zip(self.labels, compared.fit_percent, strict=True)
         ]
         if isinstance(record, Recording | ResponseMatrix):
             kwargs["labels"] = list(self.labels)
-            in_time, outputs = isinstance(record, Recording), np.asarray(one.measured)
+            in_time, outputs = isinstance(record, Recording), np.asarray(compared.measured)
             names = [
                 name if in_time else f"{source} to {name}"
                 for name in record.output_labels for source in (record.input_labels if not in_time else ("",))
             ]  # fmt: skip
-            flat = outputs.reshape(len(names), -1), one.predicted.reshape(len(self.labels), len(names), -1)
+            flat = outputs.reshape(len(names), -1), compared.predicted.reshape(len(self.labels), len(names), -1)
             what = "Outputs, measured and simulated" if in_time else "Frequency responses, measured and modelled"
             grid = record.time if isinstance(record, Recording) else record.omega
             return channel_comparison_plot(grid, *flat, names=names, heading=what + which, **kwargs)
         if isinstance(record, FrequencyRecord):
             kwargs["heading"] = f"{self.output_label} over {record.input_label}, measured and modelled{which}"
-            return response_comparison_plot(record.omega, record.response, one.predicted, **kwargs)
+            return response_comparison_plot(record.omega, record.response, compared.predicted, **kwargs)
         # a label such as "velocity [m/s]" carries its unit
         name, unit = parted(self.output_label)
         kwargs = {"output_label": name} | ({"output_unit": unit} if unit else {}) | kwargs
         heading = f"{kwargs['output_label']}, measured and simulated{which}"
-        return comparison_plot(record.time, record.y, one.predicted, heading=heading, **kwargs)
+        return comparison_plot(record.time, record.y, compared.predicted, heading=heading, **kwargs)
 
 
 def compare(
@@ -360,13 +363,15 @@ def compare(
                 tuple(answer.own for answer in answers),
             )
         )
-    together = [[(one.record, one.predicted[k]) for one in experiments] for k in range(len(models))]
+    together = [
+        [(experiment.record, experiment.predicted[k]) for experiment in experiments] for k in range(len(models))
+    ]
     return Comparison(
         labels=names,
         fit_percent=np.array([fit_to(pairs) for pairs in together]),
         output_fit_percent=np.array([fits_of_outputs(pairs) for pairs in together]),
         rms_error=np.array([rms_of(pairs) for pairs in together]),
-        own_record=tuple(any(own) for own in zip(*(one.own_record for one in experiments), strict=True)),
+        own_record=tuple(any(own) for own in zip(*(experiment.own_record for experiment in experiments), strict=True)),
         experiments=tuple(experiments),
         initial_state=initial_state,
         output_labels=records[0].output_labels,

@@ -21,44 +21,46 @@ class _Cause(NamedTuple):
     sentence: str
 
 
-def verdict_of(found: ResidualAnalysis) -> str:
+def verdict_of(analysis: ResidualAnalysis) -> str:
     """Verdict in a line; what matters most to a user of the model comes first."""
-    if found.rounding:
-        return f"at rounding level: the model reproduces the {'response' if found._spectral else 'record'}"
-    if causes := _seen(found):
+    if analysis.rounding:
+        return f"at rounding level: the model reproduces the {'response' if analysis._spectral else 'record'}"
+    if causes := _seen(analysis):
         return causes[0].verdict
-    if np.isnan(found.whiteness):
+    if np.isnan(analysis.whiteness):
         return "too few to judge"
     return (
-        "white over frequency" if found._spectral else "white" + ", and independent of the input" * found.input_varies
+        "white over frequency"
+        if analysis._spectral
+        else "white" + ", and independent of the input" * analysis.input_varies
     )
 
 
-def message_of(found: ResidualAnalysis) -> str:
-    """All sentences."""
-    if found.rounding:
+def message_of(analysis: ResidualAnalysis) -> str:
+    """Explanation of the verdict, in sentences."""
+    if analysis.rounding:
         return "What is left is rounding, of which the tests say nothing."
-    parts = [cause.sentence for cause in _seen(found)]
+    parts = [cause.sentence for cause in _seen(analysis)]
     parts = parts or ["Nothing that these tests can see is left in the residuals."]
-    if found._spectral:
+    if analysis._spectral:
         parts.append("A response has no input of its own to hold its residuals against.")
-    elif not found._driven:
+    elif not analysis._driven:
         parts.append("There was no input, so nothing can be said of a response to it, or of feedback.")
-    elif not found.input_varies:
+    elif not analysis.input_varies:
         parts.append("The input is constant, so nothing can be said of a response to it.")
-    elif np.isnan(found.response_p_value):
+    elif np.isnan(analysis.response_p_value):
         parts.append("The record is too short, or its input too poor, to tell a response to the input.")
     return " ".join(parts)
 
 
-def _seen(found: ResidualAnalysis) -> list[_Cause]:
-    causes = _of_responses(found) if found._spectral else _of_records(found)
-    return [cause for cause in causes if cause.p < 1 - found.confidence]
+def _seen(analysis: ResidualAnalysis) -> list[_Cause]:
+    causes = _of_responses(analysis) if analysis._spectral else _of_records(analysis)
+    return [cause for cause in causes if cause.p < 1 - analysis.confidence]
 
 
-def _of_records(found: ResidualAnalysis) -> list[_Cause]:
-    response, feedback, offset = found.response_p_value, found.feedback_p_value, found.offset_p_value
-    missing = response < 1 - found.confidence
+def _of_records(analysis: ResidualAnalysis) -> list[_Cause]:
+    response, feedback, offset = analysis.response_p_value, analysis.feedback_p_value, analysis.offset_p_value
+    missing = response < 1 - analysis.confidence
     also = ", or a response longer than the lags looked at" if missing else ""
     noise = (
         "what is missing shows there as well."
@@ -82,32 +84,32 @@ def _of_records(found: ResidualAnalysis) -> list[_Cause]:
         _Cause(
             offset,
             "about a mean that is not zero",
-            f"Their mean is {_listed(found.means)} ({p_value(offset)}): the sensor has an offset; subtract it before "
-            "the fit, or estimate it with offset=True.",
+            f"Their mean is {_listed(analysis.means)} ({p_value(offset)}): the sensor has an offset; subtract it "
+            "before the fit, or estimate it with offset=True.",
         ),
         _Cause(
-            found.whiteness,
-            "coloured" + ", though no response to the input is seen" * found.input_varies,
-            f"They are not white (Ljung-Box {p_value(found.whiteness)}): {noise}",
+            analysis.whiteness,
+            "coloured" + ", though no response to the input is seen" * analysis.input_varies,
+            f"They are not white (Ljung-Box {p_value(analysis.whiteness)}): {noise}",
         ),
     ]
 
 
-def _of_responses(found: ResidualAnalysis) -> list[_Cause]:
+def _of_responses(analysis: ResidualAnalysis) -> list[_Cause]:
     return [
         _Cause(
-            found.whiteness,
+            analysis.whiteness,
             "NOT white over frequency: the model lacks part of the response",
-            f"The residuals follow one another from point to point (Ljung-Box {p_value(found.whiteness)}): dynamics "
+            f"The residuals follow one another from point to point (Ljung-Box {p_value(analysis.whiteness)}): dynamics "
             "are missing or wrong there; raise the order, or suspect damping, modes beyond the band, or the "
             "quantity measured. A response that was itself estimated with overlapping or tapered windows has noise "
             "of this kind too.",
         ),
         _Cause(
-            found.offset_p_value,
+            analysis.offset_p_value,
             "about a constant over frequency that is not zero",
-            f"They lie about the constant {_listed(found.means)} ({p_value(found.offset_p_value)}): a part that is fed "
-            "through, or modes beyond the band.",
+            f"They lie about the constant {_listed(analysis.means)} ({p_value(analysis.offset_p_value)}): a part that "
+            "is fed through, or modes beyond the band.",
         ),
     ]
 

@@ -64,7 +64,9 @@ def page_of(result: PEMResult, title: str) -> str:
             continue
         parts += _section(result, kind, heading, caption)
     settings = [[name, str(getattr(result, name))] for name in _SETTINGS if getattr(result, name, None) is not None]
-    titles = list(dict.fromkeys(one.record.title for one in result.experiments if one.record.title))
+    titles = list(
+        dict.fromkeys(experiment.record.title for experiment in result.experiments if experiment.record.title)
+    )
     settings = [["data", ", ".join(titles)]] * bool(titles) + settings
     orders = [[str(row.order), f"{row.loss:.6g}", f"{row.aic:.6g}", f"{row.bic:.6g}"] for row in result.order_table]
     parts += ["<h2>Orders tried</h2>", html_table(["order", "loss", "AIC", "BIC"], orders)] * bool(orders)
@@ -96,11 +98,14 @@ def _call(result: PEMResult) -> str:
 def _beside_the_modes(result: PEMResult) -> dict[str, Any]:
     """Keywords of `pem` for motions, constants and drifts of recordings; drifts are found again."""
     given: dict[str, Any] = {}
-    if result.order and not any(np.any(one.free_amplitudes) for one in result.experiments):
+    if result.order and not any(np.any(experiment.free_amplitudes) for experiment in result.experiments):
         given["initial_state"] = "zero"
-    if not any(np.any(getattr(one, "drifts", getattr(one, "drift", 0.0))) for one in result.experiments):
+    if not any(
+        np.any(getattr(experiment, "drifts", getattr(experiment, "drift", 0.0))) for experiment in result.experiments
+    ):
         given["offset"] = any(
-            bool(np.any(getattr(one, "offsets", getattr(one, "offset", 0.0)))) for one in result.experiments
+            bool(np.any(getattr(experiment, "offsets", getattr(experiment, "offset", 0.0))))
+            for experiment in result.experiments
         )
     return given
 
@@ -117,18 +122,18 @@ def _section(result: PEMResult, kind: str, heading: str, caption: str) -> list[s
     several = kind in ("fit", "residuals")
     count = min(len(result.experiments), _EXPERIMENTS) if several else 1
     outputs = result.residues.shape[1] if kind == "fit" else 1
-    found = []
+    pictures = []
     try:
         for experiment in range(count):
             for output in range(outputs):
                 chosen = {"output": output} if outputs > 1 else {}
                 which = f"Experiment {experiment + 1}. " if several and len(result.experiments) > 1 else ""
-                found.append(_picture(result, kind, experiment, chosen, which + caption))
+                pictures.append(_picture(result, kind, experiment, chosen, which + caption))
     except StructureError as error:
-        found.append(f"<p>No picture: {escaped(error)}.</p>")
+        pictures.append(f"<p>No picture: {escaped(error)}.</p>")
     if several and len(result.experiments) > count:
-        found.append(f"<p>The first {count} of {len(result.experiments)} experiments are drawn.</p>")
-    return [f"<h2>{escaped(heading)}</h2>", *found]
+        pictures.append(f"<p>The first {count} of {len(result.experiments)} experiments are drawn.</p>")
+    return [f"<h2>{escaped(heading)}</h2>", *pictures]
 
 
 def _picture(result: PEMResult, kind: str, experiment: int, chosen: dict[str, Any], caption: str) -> str:

@@ -51,7 +51,7 @@ class HeldData:
 
         Of several channels (p, T), or (p, m, T) of frequency responses.
         """
-        return _checks.readonly(np.concatenate([one.measured for one in self.experiments], axis=-1))
+        return _checks.readonly(np.concatenate([experiment.measured for experiment in self.experiments], axis=-1))
 
     @property
     def time(self) -> Array:
@@ -64,7 +64,9 @@ class HeldData:
         return self._joined(InFrequency, "omega", "records in time and have no frequencies; use time")
 
     def _joined(self, kind: Any, name: str, what: str) -> Array:
-        parts = [getattr(one.record, name) for one in self.experiments if isinstance(one.record, kind)]
+        parts = [
+            getattr(experiment.record, name) for experiment in self.experiments if isinstance(experiment.record, kind)
+        ]
         if not parts:
             raise StructureError(f"these data are {what}")
         return _checks.readonly(np.concatenate(parts))
@@ -77,7 +79,9 @@ class HeldData:
 def experiments_to_hold_against(data: Any, dt: Any, models: Sequence[Any], weights: Any = None) -> tuple[Kind, ...]:
     """The experiments, their step from a model where nothing else tells it; refused without any output."""
     if dt is None and _lacks_step(data):
-        fitted = [one.record for model in models if isinstance(model, PEMResult) for one in model.experiments]
+        fitted = [
+            experiment.record for model in models if isinstance(model, PEMResult) for experiment in model.experiments
+        ]
         sampled = [getattr(model, "dt", None) for model in models]
         steps = [record.dt for record in fitted if isinstance(record, InTime)]
         steps += [step for step in sampled if step and not isinstance(step, bool)]
@@ -98,7 +102,9 @@ def experiments_to_hold_against(data: Any, dt: Any, models: Sequence[Any], weigh
 def _lacks_step(data: Any) -> bool:
     """Whether any of the data may be arrays, which have no step of their own."""
     known = Kind | ct.TimeResponseData | ct.FrequencyResponseData
-    return isinstance(data, tuple | list) and not all(isinstance(one, known) or is_data_frame(one) for one in data)
+    return isinstance(data, tuple | list) and not all(
+        isinstance(entry, known) or is_data_frame(entry) for entry in data
+    )
 
 
 # --- names and numbers -----------------------------------------------------------------------------------------------
@@ -135,7 +141,9 @@ def fit_to(pairs: Pairs) -> float:
 
 def fits_of_outputs(pairs: Pairs) -> Array:
     """Fit percent of each output, shape (p,)."""
-    return np.array([joint_percent(one) for one in shares_left(pairs).reshape(len(pairs[0][0].output_labels), -1)])
+    return np.array(
+        [joint_percent(shares) for shares in shares_left(pairs).reshape(len(pairs[0][0].output_labels), -1)]
+    )
 
 
 def rms_of(pairs: Pairs) -> Any:
@@ -144,11 +152,11 @@ def rms_of(pairs: Pairs) -> Any:
     Of a response from one input to one output it is weighted as the fit.
     """
     weighted = [record.weights if isinstance(record, FrequencyRecord) else 1.0 for record, _ in pairs]
-    heaviest = max(float(np.max(one)) for one in weighted)
-    left = np.concatenate([record.measured - output for record, output in pairs], axis=-1)
-    shares = [one / heaviest * record.observed for one, (record, _) in zip(weighted, pairs, strict=True)]
-    share = np.concatenate(shares, axis=-1).reshape(-1, left.shape[-1])
-    rows = np.abs(np.nan_to_num(left)).reshape(share.shape)
-    found = [unit_norm(np.sqrt(s) * row, 1.0) / np.sqrt(s.sum()) if s.any() else np.nan
+    heaviest = max(float(np.max(weight)) for weight in weighted)
+    residuals = np.concatenate([record.measured - output for record, output in pairs], axis=-1)
+    shares = [weight / heaviest * record.observed for weight, (record, _) in zip(weighted, pairs, strict=True)]
+    share = np.concatenate(shares, axis=-1).reshape(-1, residuals.shape[-1])
+    rows = np.abs(np.nan_to_num(residuals)).reshape(share.shape)
+    rms = [unit_norm(np.sqrt(s) * row, 1.0) / np.sqrt(s.sum()) if s.any() else np.nan
              for s, row in zip(share, rows, strict=True)]  # fmt: skip
-    return found[0] if left.ndim == 1 else np.array(found)
+    return rms[0] if residuals.ndim == 1 else np.array(rms)

@@ -152,20 +152,22 @@ class ResidualAnalysis(Report, HeldData, Frozen):
     @property
     def residuals(self) -> NDArray[Any]:
         """Measured output less that of the model, all experiments one after the other; NaN where missing."""
-        return _checks.readonly(np.concatenate([one.residuals for one in self.experiments]))
+        return _checks.readonly(np.concatenate([experiment.residuals for experiment in self.experiments]))
 
     @property
     def dt(self) -> float:
         """Time between samples; raises `StructureError` where the experiments have none, or several."""
-        steps = {one.record.dt for one in self.experiments if isinstance(one.record, Record)}
+        steps = {experiment.record.dt for experiment in self.experiments if isinstance(experiment.record, Record)}
         if len(steps) != 1:
-            found = "have steps of their own; use experiments[k].record.dt" if steps else "are frequency responses"
-            raise StructureError(f"there is no step: these experiments {found}")
+            reason = "have steps of their own; use experiments[k].record.dt" if steps else "are frequency responses"
+            raise StructureError(f"there is no step: these experiments {reason}")
         return steps.pop()
 
     @property
     def _driven(self) -> bool:
-        return any(isinstance(one.record, Record) and one.record.driven for one in self.experiments)
+        return any(
+            isinstance(experiment.record, Record) and experiment.record.driven for experiment in self.experiments
+        )
 
     @property
     def _spectral(self) -> bool:
@@ -175,8 +177,8 @@ class ResidualAnalysis(Report, HeldData, Frozen):
         """Verdict, tests, and what they mean."""
         L = len(self.autocorrelation)
         auto, cross = (
-            f"{found} of {total} lags outside {100 * self.confidence:g} % ({expected:.2g} expected)"
-            for found, total, expected in zip(self.outside, (L, 2 * L + 1), self.expected_outside, strict=True)
+            f"{outside} of {total} lags outside {100 * self.confidence:g} % ({expected:.2g} expected)"
+            for outside, total, expected in zip(self.outside, (L, 2 * L + 1), self.expected_outside, strict=True)
         )
         several = len(self.experiments) > 1
         data = "these experiments" if several else f"this {'response' if self._spectral else 'record'}"
@@ -224,8 +226,12 @@ class ResidualAnalysis(Report, HeldData, Frozen):
         --------
         See `residual_analysis`.
         """
-        one = chosen_experiment(self.experiments, experiment)
-        record, L, test = one.record, len(self.autocorrelation), f"(Ljung-Box {p_value(self.whiteness)})"
+        residual_experiment = chosen_experiment(self.experiments, experiment)
+        record, L, test = (
+            residual_experiment.record,
+            len(self.autocorrelation),
+            f"(Ljung-Box {p_value(self.whiteness)})",
+        )
         auto = np.arange(1, L + 1), self.autocorrelation, self.autocorrelation_band, self.confidence
         panels: list[CorrelationPanel | ResponsePanel]
         if isinstance(record, FrequencyRecord):
@@ -233,15 +239,15 @@ class ResidualAnalysis(Report, HeldData, Frozen):
             units["time_unit"] = unit_for(units.get("time_unit"), record)
             title = f"Residual over frequency{self._which(experiment)}"
             panels = [
-                ResponsePanel(record.omega, record.response, one.residuals, title, **units),
+                ResponsePanel(record.omega, record.response, residual_experiment.residuals, title, **units),
                 CorrelationPanel(*auto, f"Autocorrelation from point to point {test}", "Lag [points]"),
             ]
         else:
             panels = [CorrelationPanel(*auto, f"Autocorrelation of the residuals {test}", "Lag [samples]")]
         if self._driven:
             cross = self.lags, self.cross_correlation, self.cross_correlation_band, self.confidence
-            found = f"response {p_value(self.response_p_value)}, feedback {p_value(self.feedback_p_value)}"
-            title, lag = f"Correlation with the input ({found})", "Lag of the residual behind the input [samples]"
+            tests = f"response {p_value(self.response_p_value)}, feedback {p_value(self.feedback_p_value)}"
+            title, lag = f"Correlation with the input ({tests})", "Lag of the residual behind the input [samples]"
             panels.append(CorrelationPanel(*cross, title, lag))
         return residual_panels_plot(panels, f"Residuals of {self.label}: {self.verdict}", **kwargs)
 
@@ -355,9 +361,9 @@ def _largest_lag(lags: Any, records: tuple[Any, ...]) -> int:
 def _analysed(
     records: tuple[Kind, ...], name: str, answers: list[Simulation], lags: int, confidence: float
 ) -> ResidualAnalysis:
-    left = [record.measured - answer.output for record, answer in zip(records, answers, strict=True)]
+    residuals = [record.measured - answer.output for record, answer in zip(records, answers, strict=True)]
     outputs = [(record, answer.output) for record, answer in zip(records, answers, strict=True)]
-    data, unit = _residual_data(records, left, answers, lags)
+    data, unit = _residual_data(records, residuals, answers, lags)
     auto, statistic, whiteness = autocorrelation(data, confidence)
     have_input = any(isinstance(record, Record) and record.driven for record in records)
     unknown = np.full(2 * lags + 1, np.nan)
@@ -365,7 +371,7 @@ def _analysed(
     if have_input:
         cross = cross_correlation(data, confidence)
     causes = influence(data)
-    largest = max(float(np.nanmax(np.abs(one))) for one in left)
+    largest = max(float(np.nanmax(np.abs(residual))) for residual in residuals)
     size = max(float(np.nanmax(np.abs(output[record.observed]))) for record, output in outputs)
     # rounding of recursions run in doubles grows with the samples
     rounding = largest <= _checks.EPS * sum(record.samples for record in records) * size
@@ -381,8 +387,8 @@ def _analysed(
         offset_p_value=causes.offset, noise_order=causes.noise_order,
         means=_means(data, unit, spectral), rounding=rounding, input_varies=bool(data.v.any()), confidence=confidence,
         experiments=tuple(
-            ResidualExperiment(output[0], residuals, fit_to([output]), answer.own)
-            for output, residuals, answer in zip(outputs, left, answers, strict=True)
+            ResidualExperiment(output[0], residual, fit_to([output]), answer.own)
+            for output, residual, answer in zip(outputs, residuals, answers, strict=True)
         ),
         fit_percent=fit_to(outputs), own_record=any(answer.own for answer in answers),
         input_label=first.input_label, output_label=first.output_label,
@@ -400,7 +406,7 @@ def _means(data: ResidualData, unit: float, spectral: bool) -> tuple[complex, ..
 
 
 def _residual_data(
-    records: tuple[Kind, ...], left: list[NDArray[Any]], answers: list[Simulation], lags: int
+    records: tuple[Kind, ...], residuals: list[NDArray[Any]], answers: list[Simulation], lags: int
 ) -> tuple[ResidualData, float]:
     """Series one after the other, each in the scale of its weights and its own noise; and the unit of all.
 
@@ -409,35 +415,40 @@ def _residual_data(
     spectral = isinstance(records[0], FrequencyRecord)
 
     def series(values: list[NDArray[Any]]) -> list[Array]:
-        return [part for one in values for part in (one.real, one.imag)] if spectral else values
+        return [part for array in values for part in (array.real, array.imag)] if spectral else values
 
     weights = [record.weights if isinstance(record, FrequencyRecord) else np.ones(record.samples) for record in records]
     largest = max(float(np.max(weight)) for weight in weights)
     scales = [np.sqrt(weight / largest) for weight in weights]
-    unit = max(float(np.nanmax(np.abs(scale * one))) for scale, one in zip(scales, left, strict=True)) or 1.0
-    left = [scale * one / unit for scale, one in zip(scales, left, strict=True)]
-    noise = noise_scales([np.abs(one) for one in left])
+    unit = (
+        max(float(np.nanmax(np.abs(scale * residual))) for scale, residual in zip(scales, residuals, strict=True))
+        or 1.0
+    )
+    residuals = [scale * residual / unit for scale, residual in zip(scales, residuals, strict=True)]
+    noise = noise_scales([np.abs(residual) for residual in residuals])
     scales = [scale / size for scale, size in zip(scales, noise, strict=True)]
-    residuals = np.concatenate(series([one / size for one, size in zip(left, noise, strict=True)]))
+    joined = np.concatenate(series([residual / size for residual, size in zip(residuals, noise, strict=True)]))
     shared, local = _directions(answers, scales)
     level = np.concatenate([np.repeat(scale[None], 1 + spectral, axis=0).ravel() for scale in scales])
-    u = np.zeros(len(residuals))
+    u = np.zeros(len(joined))
     if not spectral:
         u = np.concatenate([record.u for record in records if isinstance(record, Record)])
         # least squares with these weights
         u = u / (np.max(np.abs(u)) or 1.0) * level
     return ResidualData(
-        without_peaks(residuals) if spectral else residuals, u, np.concatenate(series(shared)), lags,
-        tuple(len(one) for one in series(shared)), tuple(series(local)), level,
+        without_peaks(joined) if spectral else joined, u, np.concatenate(series(shared)), lags,
+        tuple(len(rows) for rows in series(shared)), tuple(series(local)), level,
     ), unit  # fmt: skip
 
 
 def _directions(answers: list[Simulation], scales: list[Array]) -> tuple[list[NDArray[Any]], list[NDArray[Any]]]:
     """What was fitted to all experiments, and what to each alone; nothing of very long records."""
-    found = [answer.directions() for answer in answers]
-    if sum(one.shared.size + one.local.size for one in found) > _MOST:
-        return [one.shared[:, :0] for one in found], [one.local[:, :0] for one in found]
-    width = max(one.shared.shape[1] for one in found)
+    fitted = [answer.directions() for answer in answers]
+    if sum(directions.shared.size + directions.local.size for directions in fitted) > _MOST:
+        return [directions.shared[:, :0] for directions in fitted], [directions.local[:, :0] for directions in fitted]
+    width = max(directions.shared.shape[1] for directions in fitted)
     # poles come last; a free motion has no residues before them
-    shared = [np.pad(one.shared, ((0, 0), (width - one.shared.shape[1], 0))) for one in found]
-    return [scale[:, None] * one for scale, one in zip(scales, shared, strict=True)], [one.local for one in found]
+    shared = [np.pad(directions.shared, ((0, 0), (width - directions.shared.shape[1], 0))) for directions in fitted]
+    return [scale[:, None] * columns for scale, columns in zip(scales, shared, strict=True)], [
+        directions.local for directions in fitted
+    ]

@@ -105,8 +105,8 @@ def residual_plot(analysis: ResidualAnalysis | PEMResult, experiment: int = 0, *
 
 def _residuals_of_channels(result: PEMResult, experiment: int, style: dict[str, Any]) -> ct.ControlPlot:
     """Autocorrelation of the residuals of each channel of a fit."""
-    one = chosen_experiment(result.experiments, experiment)
-    record, residuals = one.record, np.asarray(one.residuals)
+    experiment_fit = chosen_experiment(result.experiments, experiment)
+    record, residuals = experiment_fit.record, np.asarray(experiment_fit.residuals)
     weights = getattr(record, "weights", None)
     if weights is not None:
         residuals = residuals * np.sqrt(weights)

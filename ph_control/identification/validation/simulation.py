@@ -87,15 +87,17 @@ def answers_to(
     models: Sequence[Any], labels: Sequence[str], records: Sequence[Kind], rules: Rules
 ) -> list[list[Simulation]]:
     """What each model says of each experiment; errors name the experiment if there are several."""
-    found = []
+    simulations = []
     for place, record in enumerate(records, start=1):
         try:
-            found.append([_answer_to(model, label, record, rules) for model, label in zip(models, labels, strict=True)])
+            simulations.append(
+                [_answer_to(model, label, record, rules) for model, label in zip(models, labels, strict=True)]
+            )
         except StructureError as error:
             if len(records) == 1:
                 raise
             raise type(error)(f"experiment {place}: {error}") from None
-    return found
+    return simulations
 
 
 def _answer_to(model: Any, label: str, record: Kind, rules: Rules) -> Simulation:
@@ -119,12 +121,12 @@ def _refuse_fitted(model: Any, label: str, rules: Rules) -> None:
         )
 
 
-def _keeps_its_state(one: Any, initial_state: str) -> bool:
-    """Whether the prediction of the fit itself is asked for: that from its state, estimated on these very data."""
-    if isinstance(one.record, InFrequency) or initial_state == "fitted":
+def _keeps_its_state(experiment_fit: Any, initial_state: str) -> bool:
+    """Whether the rules want the prediction of the fit itself, from the initial state that it has estimated."""
+    if isinstance(experiment_fit.record, InFrequency) or initial_state == "fitted":
         return True
-    from_rest = one.record.driven and not one.free_amplitudes.any()
-    return bool((initial_state == "zero" and one.record.driven) == from_rest)
+    from_rest = experiment_fit.record.driven and not experiment_fit.free_amplitudes.any()
+    return bool((initial_state == "zero" and experiment_fit.record.driven) == from_rest)
 
 
 def _no_directions(record: Kind) -> Directions:
@@ -210,8 +212,8 @@ def _completed(motions: Motions, label: str, record: Record | Recording, rules: 
     columns = columns / np.where(lengths > 0, lengths, 1.0)
     # the smallest solution, where the columns depend on one another
     rows = columns[record.observed] / scale[:, None]
-    found = np.linalg.lstsq(rows, target / scale, rcond=len(target) * _checks.EPS)[0]
-    return Simulation(forced + columns @ found, lambda: Directions(np.zeros((record.samples, 0)), columns))
+    coefficients = np.linalg.lstsq(rows, target / scale, rcond=len(target) * _checks.EPS)[0]
+    return Simulation(forced + columns @ coefficients, lambda: Directions(np.zeros((record.samples, 0)), columns))
 
 
 # --- results of a fit ------------------------------------------------------------------------------------------------
@@ -239,8 +241,8 @@ def _answer_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules) -> 
     y = np.empty_like(data.y)
     y[outputs] = data.y
     state = "estimate" if rules.initial_state == "zero" and not data.driven else rules.initial_state
-    found = model.predict(replace(data, u=u, y=y, input_labels=model.input_labels), initial_state=state)
-    answer = np.reshape(found.outputs, (len(outputs), -1))[outputs]
+    prediction = model.predict(replace(data, u=u, y=y, input_labels=model.input_labels), initial_state=state)
+    answer = np.reshape(prediction.outputs, (len(outputs), -1))[outputs]
     if state == "zero" and model.offsets.any():
         # a constant is that of the sensor, whatever the plant does
         answer = answer + np.nanmean(np.where(data.observed, data.y - answer, np.nan), axis=1, keepdims=True)
