@@ -578,7 +578,7 @@ def test_instants_further_off_every_grid_are_refused():
 @pytest.mark.parametrize("squeeze", ["yes", 2.0, [True]])
 def test_a_squeeze_that_is_no_flag_is_an_error(squeeze):
     sys = phc.modes(1.0, 1.0)
-    with pytest.raises(phc.StructureError, match="squeeze is .*; it must be True or False"):
+    with pytest.raises(phc.StructureError, match=r"squeeze is .*; it must be True or False"):
         phc.step_response(sys, np.linspace(0, 1, 5), squeeze=squeeze)
-    with pytest.raises(phc.StructureError, match="squeeze is .*; it must be True or False"):
+    with pytest.raises(phc.StructureError, match=r"squeeze is .*; it must be True or False"):
         phc.forced_response(sys, np.linspace(0, 1, 5), np.zeros(5), squeeze=squeeze)
