@@ -284,16 +284,12 @@ def free_fit(
             constant_open=offset == "auto" and terms == 1, delay=late,
         )  # fmt: skip
 
-    responses = [data for data in channels if isinstance(data, ResponseMatrix)] if doubted else []
-    if responses:
+    if doubted and isinstance(channels[0], ResponseMatrix):
         among = partial(
             free_fit, order=order, quantities=quantities, max_order=max_order, criterion=criterion, reports=reports,
             weighted=weighted, real_poles=real_poles, delay=delay, doubted=False,
         )  # fmt: skip
-        wild = [wild_lines(data) for data in responses]
-        if any(map(len, wild)):
-            return _with_or_without(wild, channels, among, start)
-        return _without_errors(among(channels, start=start), responses, among)
+        return _of_responses([data for data in channels if isinstance(data, ResponseMatrix)], among, start)
     path = path_for(channels)
     path.check(1 if automatic else int(order))
     begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
@@ -314,15 +310,19 @@ def free_fit(
             return _in_noise_of_the_gain(fit, path_for, most, automatic)
         search = partial(FreePath.fit, start=begin, most=most, automatic=automatic, channels=channels)
         anew = _searches_anew(fit, path_for, search, None if intersample == "auto" else intersample)
-        level = _beside_drift(fit, anew) if offset == "auto" else fit
-        late = _on_time(level, anew) if delay is None else level
-        if offset != "auto":
-            return late
-        # poles that stand for a delay may hide a drift
-        late = _beside_drift(late, anew) if late is not level and late.offset < 2 else late
-        return _with_constants(late)
+        return _beside_drifts_and_delays(fit, anew, offset == "auto")
     except KeyboardInterrupt:
         return replace(fit, interrupted=True)
+
+
+def _of_responses(
+    responses: Sequence[ResponseMatrix], among: Callable[..., FreeFit], start: ComplexArray | None
+) -> FreeFit:
+    """The fit to responses, without lines that are wild, or in error, if they are better values of their own."""
+    wild = [wild_lines(data) for data in responses]
+    if any(map(len, wild)):
+        return _with_or_without(wild, responses, among, start)
+    return _without_errors(among(responses, start=start), responses, among)
 
 
 def _searches_anew(fit: FreeFit, path_for: Callable[..., FreePath], search: partial[FreeFit], held: str | None) -> Anew:
@@ -609,6 +609,17 @@ def _of_long(
 # --- drifts and delays -----------------------------------------------------------------------------------------------
 
 Anew = Callable[[Array, int, ComplexArray | None], FreeFit]  # search, or from poles, with delays and terms of offsets
+
+
+def _beside_drifts_and_delays(fit: FreeFit, anew: Anew, drifting: bool) -> FreeFit:
+    """The fit beside the drifts of outputs, where these may be `drifting`, and with the delays that are open."""
+    level = _beside_drift(fit, anew) if drifting else fit
+    late = _on_time(level, anew) if fit.delay_open else level
+    if not drifting:
+        return late
+    # poles that stand for a delay may hide a drift
+    late = _beside_drift(late, anew) if late is not level and late.offset < 2 else late
+    return _with_constants(late)
 
 
 def _beside_drift(fit: FreeFit, anew: Anew) -> FreeFit:
