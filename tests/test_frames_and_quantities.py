@@ -1,6 +1,7 @@
 """Data frames of several channels with a time index, and quantities that labels tell."""
 
 import re
+import time
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
@@ -72,6 +73,21 @@ def test_frames_of_polars_and_xarray_are_read():
     coordinate = ("time", STEP * np.arange(400), {"units": "s"})
     dataset = xarray.Dataset({name: ("time", x) for name, x in signals().items()}, coords={"time": coordinate})
     check(phc.recording(dataset, **ROLES))
+
+
+@pytest.mark.skipif(not hasattr(time, "tzset"), reason="the zone of this machine cannot be changed")
+def test_clocks_without_a_zone_do_not_depend_on_that_of_the_machine(monkeypatch):
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    # summer time begins in the middle of the record
+    clock = [datetime(2026, 3, 29, 1, 59, 56) + timedelta(milliseconds=20 * k) for k in range(400)]
+    frame = pandas.DataFrame({"time": pandas.Series(clock, dtype=object), **signals()})
+    try:
+        monkeypatch.setenv("TZ", "Europe/Berlin")
+        time.tzset()
+        check(phc.recording(frame, **ROLES))
+    finally:
+        monkeypatch.undo()
+        time.tzset()
 
 
 def test_a_fit_takes_the_index_of_a_frame_of_one_input_and_one_output():

@@ -182,3 +182,13 @@ def test_a_pair_that_turns_real_under_a_structure_leads_to_a_passive_model():
     y = sum(a * np.cos(w * t + b) for a, b, w in zip(sizes, phases, (1.0, 2.7), strict=True))
     result = phc.pem((u, y + 0.05 * rng.standard_normal(80)), dt=0.1, max_order=1, initial_state="zero", offset=False)
     assert result.order <= 1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_inputs_are_held_where_a_mode_beside_lags_says_so(seed):
+    """With a residue of any phase no structure stands, and the fits themselves differ by what is fed through."""
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(2000)
+    y = held([-0.8, -9.0, -0.3 + 25.0j], [1.0, -0.7, 0.6j], u)
+    result = phc.pem((u, y + 0.03 * np.std(y) * rng.standard_normal(2000)), dt=H)
+    assert result.intersample == "zoh" and (result.feedthrough == 0).all()

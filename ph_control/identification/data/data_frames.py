@@ -200,9 +200,10 @@ class _Table:
         name = f"the time (column {self.clock_label!r})" if self.clock_label in self.keys else "the index"
         values, unit = np.asarray(self.time), unit_of_time(self.clock_label)
         if values.dtype.kind == "O" and hasattr(values.flat[0] if values.size else None, "tzinfo"):
-            values = np.array(
-                [np.datetime64(instant.astimezone(timezone.utc).replace(tzinfo=None)) for instant in values]
-            )
+            # clocks without a zone are read as they are, whatever the zone of the machine
+            zoned = (i if i.tzinfo is None else i.astimezone(timezone.utc).replace(tzinfo=None) for i in values)
+            values = np.array([np.datetime64(instant) for instant in zoned])
+
         if values.dtype.kind in "mM":
             values, unit = (values - values[:1]) / np.timedelta64(1, "s"), "s"
         recorded = signal(name, values)

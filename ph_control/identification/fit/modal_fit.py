@@ -60,6 +60,7 @@ _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays 
 _COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
 _HALF = 0.05  # of half a sample: what a delay may differ from it by
 _OPPOSED = 0.7  # cosine of the angle within which a residue points against the force
+_SAME = 1.0  # difference of the BIC of models that are the same
 _CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
 
 Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
@@ -292,11 +293,24 @@ def _under_likelier_hold(first: _Chosen, request: Request) -> _Chosen:
     if request.structure == "auto":
         simpler = STRUCTURES[: STRUCTURES.index(first.fit.structure)]
         chosen, tests = _tested(rival, request, simpler)
-        gain = _classical_cost(free, first.tests) - _classical_cost(rival, tests)
-        if chosen.structure not in simpler and (first.fit.structure != "free" or gain <= 2 * TUNING.sure):
+        stands = chosen.structure in simpler
+        if not (stands or (first.fit.structure == "free" and _is_rather_held_as(rival, tests, free, first.tests))):
             return first
     second = _Chosen(rival, *_structure_of(rival, request))
     return second if request.structure == "auto" or _gain(second, first) > TUNING.sure else first
+
+
+def _is_rather_held_as(
+    rival: FreeFit, tests: tuple[HypothesisTest, ...], free: FreeFit, free_tests: tuple[HypothesisTest, ...]
+) -> bool:
+    """Whether inputs were rather held as in a rival fit, where no structure stands.
+
+    With what is fed through they are the same model, and only shapes tell them apart.
+    """
+    preferred = free.criteria.bic - rival.criteria.bic
+    if abs(preferred) > _SAME:
+        return preferred > 0
+    return _classical_cost(free, free_tests) - _classical_cost(rival, tests) > 2 * TUNING.sure
 
 
 def _with_delay(
