@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Any, overload
 
@@ -68,6 +68,25 @@ class Recording(InTime):
     title: str = ""
     time_unit: str | None = None
 
+    @property
+    def unit(self) -> float:
+        """What inputs and outputs were divided by."""
+        return 1.0
+
+    @property
+    def original(self) -> Recording:
+        """The recording before that."""
+        return self
+
+    def in_unit(self, unit: float) -> Recording:
+        """The same with inputs and outputs divided by a number, so that their noise is that of other experiments."""
+        if unit == 1:
+            return self.original
+        given = {part.name: getattr(self.original, part.name) for part in fields(Recording)}
+        return DividedRecording(
+            **given | {"u": given["u"] / unit, "y": given["y"] / unit}, whole=self.original, by=unit
+        )
+
     def __repr__(self) -> str:
         return f"<Recording: {self.samples} samples, step {self.dt:.6g}, {_shape(self)}>"
 
@@ -92,6 +111,24 @@ class Recording(InTime):
             for part, seen in ((level[:, :first], observed[:, :first]), (level[:, first:], observed[:, first:]))
         )
         return bool(np.all(before <= _STILL * after))
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class DividedRecording(Recording):
+    """A `whole` recording whose inputs and outputs are divided by a number."""
+
+    whole: Recording
+    by: float
+
+    @property
+    def unit(self) -> float:
+        """What inputs and outputs were divided by."""
+        return self.by
+
+    @property
+    def original(self) -> Recording:
+        """The recording before that."""
+        return self.whole
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -14,7 +14,9 @@ from ..._threads import on_one_thread
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
+from ..data.channels import Recording
 from ..data.experiments import as_channels
+from ..diagnosis.unequal_noise import experiments_of
 from ..regression.free import FreeProjection, GivenResidues, refine_free
 from ..regression.free_prediction import FittedChannels
 from ..regression.frequency_rows import FreeResponse, terms_in
@@ -299,6 +301,9 @@ class _Refit:
     def of(cls, result: Any) -> _Refit:
         """Make it of a result."""
         channels: Any = as_channels([experiment.record for experiment in result.experiments])
+        if isinstance(channels[0], Recording):
+            scales = [experiment.noise_scale for experiment in result.experiments]
+            channels = [channel.in_unit(scale) for channel, scale in zip(channels, scales, strict=True)]
         terms = int(np.isfinite(result.stderr["offset"]).any())
         terms += any(
             np.any(getattr(experiment, "drifts", getattr(experiment, "drift", 0.0)))
@@ -328,9 +333,7 @@ class _Refit:
         for record, predicted in zip(rows, predictions, strict=True):
             residuals = (_target(record) - predicted)[:, record.observed] * _weight(record)
             noise.append(factor * (residuals - residuals.mean(axis=1, keepdims=True)))
-        ends = np.cumsum([int(channel.observed.any(axis=-1).sum()) for channel in channels])
-        starts = np.cumsum([0, *(len(record.outputs) for record in rows)])[:-1]
-        places = np.searchsorted(ends, starts, side="right").tolist()
+        places = experiments_of(rows, channels).tolist()
         return cls(
             rows, result.poles, fed, layout, path.search.region, result.structure, predictions, noise, places,
             len(channels),
@@ -373,7 +376,7 @@ class _Refit:
         offsets = [np.zeros(count) for _ in range(self.count)]
         for record, own, place in zip(projection.experiments, projection.own, self.places, strict=True):
             if isinstance(record, FreeRecord):
-                scale = self.layout.scales[record.outputs]
+                scale = self.layout.scales[record.outputs] * record.unit
                 motion = record.motion_at_start(projection.p, projection.residues[:, record.outputs], own)[rank]
                 motions[place][:, record.outputs] = 2 * scale * motion
                 offsets[place][record.outputs] = scale * record.offset_at_start(own)[0]

@@ -24,6 +24,7 @@ from ..data.time_record import Record
 from ..diagnosis.coloured_noise import beside_coloured_noise, is_white
 from ..diagnosis.fitted_directions import FittedModel, directions_of
 from ..diagnosis.outliers import outliers, saturation
+from ..diagnosis.unequal_noise import in_equal_noise
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
 from ..excitation.excitation import examine
 from ..regression.free import FreeProjection, GivenResidues, refine_free
@@ -32,7 +33,6 @@ from ..regression.frequency_rows import FreeResponse
 from ..regression.modal_regressors import output_weight
 from ..regression.prediction import (
     FittedExperiment,
-    Pairs,
     ResponseBackground,
     joint_percent,
     pieces,
@@ -60,6 +60,7 @@ _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays 
 _COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
 _HALF = 0.05  # of half a sample: what a delay may differ from it by
 _OPPOSED = 0.7  # cosine of the angle within which a residue points against the force
+_ROUNDS = 3  # of fits and of the noise of experiments in turn
 _SAME = 1.0  # difference of the BIC of models that are the same
 _CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
 
@@ -134,27 +135,35 @@ def fit_channels(
 ) -> PEMResult:  # fmt: skip
     """Fit free residues first, then the structure that is given, or the simplest that is not rejected."""
     order = options.order if order is None else order
-    search = partial(
-        free_fit, channels, quantities=request.quantities, intersample=options.intersample, offset=options.offset,
-        max_order=options.max_order, criterion=options.criterion, weighted=options.weighted,
-        real_poles=options.real_poles, method=options.method, delay=options.delay,
-        reports=reporter(options.largest, options.callback),
-    )  # fmt: skip
-    # before a hammer hits, few samples show the motion there was, and what is unknown of it hides the residues
-    resting = options.moving and begin_at_rest(channels)
-    free = search(order, start=start, moving=options.moving and not resting)
-    if resting and free.order and not free.interrupted:
-        other = search(free.order, start=free.projection.p, moving=True)
-        if other.interrupted:
-            free = replace(free, interrupted=True)
-        elif other.criteria.bic < free.criteria.bic:
-            resting = False
-            free = search(order, start=start, moving=True)
 
+    def search_in(channels: Channels) -> Callable[..., FreeFit]:
+        return partial(
+            free_fit, channels, quantities=request.quantities, intersample=options.intersample, offset=options.offset,
+            max_order=options.max_order, criterion=options.criterion, weighted=options.weighted,
+            real_poles=options.real_poles, method=options.method, delay=options.delay,
+            reports=reporter(options.largest, options.callback),
+        )  # fmt: skip
+
+    resting = options.moving and begin_at_rest(channels)
+    search = search_in(channels)
+    free, moving = _beside_motion(search, order, start, options.moving, resting)
+    first, charge = free.criteria.bic, (len(channels) - 1) * float(np.log(free.projection.rows))
+    for _ in range(_ROUNDS):
+        alike = in_equal_noise(channels, free)
+        if alike is None:
+            break
+        again, its_motion = _beside_motion(search_in(alike), order, start, options.moving, resting)
+        if again.interrupted or again.criteria.bic + charge >= min(first, free.criteria.bic + charge):
+            break
+        channels, search, free, moving = alike, search_in(alike), again, its_motion
+    units = tuple(getattr(channel, "unit", 1.0) for channel in channels)
+    if any(unit != 1 for unit in units):
+        unequal = Finding(Cause.UNEQUAL_NOISE, units, 0.5 * (first - free.criteria.bic - charge))
+        free = replace(free, findings=(*free.findings, unequal))
     free = replace(free, findings=(*free.findings, *_about_order(free, order, options)))
 
     def with_delay(delay: Array) -> FreeFit:
-        return search(order, start=start, moving=options.moving and not resting, delay=delay)
+        return search(order, start=start, moving=moving, delay=delay)
 
     result = under_either_hold(free, request, findings, with_delay)
     while options.reachable and result.success and 0 < np.sum(result.kappa > 0) < result.order:
@@ -162,6 +171,23 @@ def fit_channels(
         free = _of_modes(free, imaginary(result.d[result.kappa > 0]))
         result = under_either_hold(free, request, findings)
     return result
+
+
+def _beside_motion(
+    search: Callable[..., FreeFit], order: int | str, start: ComplexArray | None, moving: bool, resting: bool
+) -> tuple[FreeFit, bool]:
+    """The fit, and whether modes are in motion where records begin: of those at rest only where that explains more.
+
+    Before a hammer hits, few samples show the motion there was, and what is unknown of it hides the residues.
+    """
+    free = search(order, start=start, moving=moving and not resting)
+    if resting and free.order and not free.interrupted:
+        other = search(free.order, start=free.projection.p, moving=True)
+        if other.interrupted:
+            return replace(free, interrupted=True), False
+        if other.criteria.bic < free.criteria.bic:
+            return search(order, start=start, moving=True), True
+    return free, moving and not resting
 
 
 def _about_order(free: FreeFit, order: int | str, options: Options) -> list[Finding]:
@@ -574,7 +600,7 @@ def _judged(
     unknowns = free.unknowns + min(0, extra) + delays + len(free.scales)
     delay, delay_stderr = _delays(fit, free)
     predicted = [(experiment.record, experiment.predicted) for experiment in experiments]
-    counts, losses = _losses(predicted, free.per_entry)
+    counts, losses = _losses(experiments, free.per_entry)
     floor = np.maximum(losses, np.finfo(float).tiny * np.maximum(counts, 1))
     known = counts > 0
     variances = floor / np.maximum(counts, 1)
@@ -770,7 +796,7 @@ def _experiments(
         while remaining > 0:
             part, own, values, place = next(rows)
             which = part.outputs
-            scale = free.scales[which]
+            scale = free.scales[which] * getattr(part, "unit", 1.0)
             remaining -= len(which)
             if isinstance(part, FreeResponse):
                 spread = np.array([np.diag(inner) for inner, _ in _own_spreads(projection, fit, place)]).T
@@ -790,7 +816,12 @@ def _experiments(
             else:
                 predicted[which] = values * scale[:, None]
         if in_time:
-            experiments.append(FittedChannels(channel, motion, offsets, drifts, predicted, offset_stderr=errors))
+            experiments.append(
+                FittedChannels(
+                    channel.in_unit(1.0), motion, offsets, drifts, predicted, offset_stderr=errors,
+                    noise_scale=channel.unit,
+                )
+            )  # fmt: skip
         else:
             nothing = np.zeros((n, 0), complex), np.zeros(p), np.zeros(p)
             coefficients, errors = terms.reshape(2, 5, p, m)
@@ -799,10 +830,15 @@ def _experiments(
     return tuple(experiments)
 
 
-def _losses(predicted: Pairs, per_entry: bool) -> tuple[Array, Array]:
-    """Real residuals, and sums of their weighted squares, of each output or entry."""
-    counts = sum((record.observed & ~np.isnan(values)).sum(axis=-1) * (1 + per_entry) for record, values in predicted)
-    losses = sum(np.sum(weights * np.abs(residuals) ** 2, axis=-1) for weights, _, residuals in pieces(predicted))
+def _losses(experiments: Sequence[FittedChannels], per_entry: bool) -> tuple[Array, Array]:
+    """Real residuals, and sums of their weighted squares in the same noise, of each output or entry."""
+    counts: Any = 0
+    losses: Any = 0.0
+    for data in experiments:
+        known = data.record.observed & ~np.isnan(data.predicted)
+        counts = counts + known.sum(axis=-1) * (1 + per_entry)
+        for weights, _, residuals in pieces([(data.record, data.predicted)]):
+            losses = losses + np.sum(weights * np.abs(residuals) ** 2, axis=-1) / data.noise_scale**2
     return np.ravel(counts), np.ravel(losses)
 
 
@@ -930,7 +966,7 @@ def _motion_covariances(projection: FreeProjection, fit: StructuredFit, free: Fr
         place = int(np.searchsorted(measured, done, side="right"))
         done += len(rows.outputs)
         for output, (spread, with_poles) in zip(rows.outputs.tolist(), _own_spreads(projection, fit, k), strict=True):
-            scale = 2 * free.scales[output]
+            scale = 2 * free.scales[output] * getattr(rows, "unit", 1.0)
             for l, total in enumerate(covariances):
                 both = [2 + output * runs + place, 2 + size + output * runs + place]
                 total[np.ix_(both, both)] = scale**2 * spread[np.ix_([l, n + l], [l, n + l])]
@@ -957,7 +993,7 @@ def _squeezed(
     record = replace(record, time=record.clock, driven=bool(record.u.any()))
     return FittedExperiment(
         record, state, motion, float(data.offsets[0]), data.predicted[0], float(data.drifts[0]),
-        initial_stderr=errors, offset_stderr=float(data.offset_stderr[0]),
+        initial_stderr=errors, offset_stderr=float(data.offset_stderr[0]), noise_scale=data.noise_scale,
     )  # fmt: skip
 
 
@@ -979,11 +1015,11 @@ def _state_errors(
         else:
             ((spread, crossed),) = _own_spreads(projection, fit, rows)
             if not lossless:
-                errors = 2 * scale * _roots(np.diag(spread)[: 2 * n].reshape(2, n).T)[rank]
-                kept = np.stack([np.ones(n, bool), fit.p[rank].imag != 0], axis=1)
-                state_errors.append(errors[kept])
+                each = 2 * scale * _roots(np.diag(spread)[: 2 * n].reshape(2, n).T)[rank]
+                errors = each[np.stack([np.ones(n, bool), fit.p[rank].imag != 0], axis=1)]
             else:
-                state_errors.append(_modal_state_errors(projection, fit, rows, spread, crossed, rank, scale, quantity))
+                errors = _modal_state_errors(projection, fit, rows, spread, crossed, rank, scale, quantity)
+            state_errors.append(data.unit * errors)
         rows += int(data.observed.any())
     return state_errors
 

@@ -33,6 +33,8 @@ class FittedChannels(FittedData):
         What a frequency response has beside the modes.
     offset_stderr : ndarray, shape (p,)
         Standard errors of the offsets; NaN where none was estimated.
+    noise_scale : float
+        Standard deviation of its noise, beside the root of the `noise_variance` of the result.
     """
 
     record: Recording | ResponseMatrix
@@ -42,6 +44,7 @@ class FittedChannels(FittedData):
     predicted: NDArray[Any]
     background: ResponseBackground | None = None
     offset_stderr: Array = field(default_factory=lambda: np.full(1, np.nan))
+    noise_scale: float = 1.0
 
     def __post_init__(self) -> None:
         errors = np.broadcast_to(self.offset_stderr, np.shape(self.offsets))

@@ -207,6 +207,8 @@ class FittedExperiment(FittedData):
         Standard errors of the initial state; NaN where it was not estimated.
     offset_stderr : float
         Standard error of the offset; NaN if it was not estimated.
+    noise_scale : float
+        Standard deviation of its noise, beside the root of the `noise_variance` of the result.
     """
 
     record: Record | FrequencyRecord
@@ -218,6 +220,7 @@ class FittedExperiment(FittedData):
     background: ResponseBackground | None = None
     initial_stderr: Array = field(default_factory=lambda: np.zeros(0))
     offset_stderr: float = np.nan
+    noise_scale: float = 1.0
 
     def __str__(self) -> str:
         """Say how much there is of it, and how well it is fitted."""

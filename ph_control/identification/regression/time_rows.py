@@ -99,6 +99,7 @@ class FreeRecord:
     late: float = 0.0  # part of a step by which the inputs come later than `u` says
     ahead: Array | None = None  # inputs one sample after `u`, where they are seen as well
     whole_record: WholeRecord | None = None  # all samples, where these are a part
+    unit: float = 1.0  # what inputs and outputs were divided by
 
     @cached_property
     def complete(self) -> bool:

@@ -635,7 +635,7 @@ def _beside_drift(fit: FreeFit, anew: Anew) -> FreeFit:
     best = again if again.criteria.bic <= trial.criteria.bic else trial
     drifts = [
         float(slope) for rows, own in zip(best.projection.experiments, best.projection.own, strict=True)
-        if isinstance(rows, FreeRecord) for slope in best.scales[rows.outputs] * own[-2] / rows.hold.h
+        if isinstance(rows, FreeRecord) for slope in best.scales[rows.outputs] * own[-2] * rows.unit / rows.hold.h
     ]  # fmt: skip
     # slow poles may stand for a drift
     level = anew(fit.delay, 1, fit.projection.p[~slow]) if slow.any() else fit
@@ -650,7 +650,7 @@ def _with_constants(fit: FreeFit) -> FreeFit:
         return fit
     values = [
         float(value) for rows, own in zip(fit.projection.experiments, fit.projection.own, strict=True)
-        for value in fit.scales[rows.outputs] * own[-1]
+        for value in fit.scales[rows.outputs] * own[-1] * getattr(rows, "unit", 1.0)
     ]  # fmt: skip
     finding = Finding(Cause.CONSTANT, tuple(values), 0.5 * float(_evidence_of_constants(fit.projection)))
     return replace(fit, findings=(*fit.findings, finding))
@@ -908,7 +908,8 @@ def _records(
     for recording in channels:
         acting = np.flatnonzero(recording.u.any(axis=1))
         driven = len(acting) > 0
-        options = {"offset": offset, "driven": driven, "moving": moving or not driven, "among": acting}
+        options = {"offset": offset, "driven": driven, "moving": moving or not driven, "among": acting,
+                   "unit": recording.unit}  # fmt: skip
         u = recording.u if driven and len(acting) == len(recording.u) else recording.u[acting]
         u = u if driven else np.broadcast_to(0.0, (1, recording.samples))
         records += FreeRecord.by_observation(
