@@ -561,12 +561,13 @@ def _judged(
     unknowns = free.unknowns + min(0, extra) + delays + len(free.scales)
     delay, delay_stderr = _delays(fit, free)
     predicted = [(experiment.record, experiment.predicted) for experiment in experiments]
-    noise = _Variances.of(predicted, free.per_entry)
-    loglik = noise.loglik
+    counts, variances = _variances(predicted, free.per_entry)
+    samples, known = int(counts.sum()), counts > 0
+    loglik = float(-0.5 * np.sum(counts[known] * (np.log(2 * np.pi * variances[known]) + 1)))
     if free.noise:  # that of the innovations, less what a structure costs
         loglik = free.criteria.loglik - 0.5 * (fit.loss - free.projection.loss) / free.variance
     # as variances are divided by it, they are none of the unknowns
-    spare = max(1, noise.samples - (unknowns - len(free.scales)))
+    spare = max(1, samples - (unknowns - len(free.scales)))
     single = residues.shape[1] == 1 and residues.shape[2] <= 1
     shown: Any = _squeezed(experiments, measured, fit, free, rank, request.quantities[0]) if single else experiments
     model = FittedModel(
@@ -594,17 +595,17 @@ def _judged(
         shapes_scaled=bool(shapes.scaled.all() and len(shapes.scaled)),
         ports=request.ports,
         quantities=request.quantities,
-        noise_variance=(noise.each * noise.samples / spare).reshape(fit.feedthrough.shape[: 1 + free.per_entry]),
+        noise_variance=(variances * samples / spare).reshape(fit.feedthrough.shape[: 1 + free.per_entry]),
         experiments=shown,
-        loss=noise.loss,
+        loss=float(np.exp(counts @ np.log(variances) / max(1, samples))),
         loglik=loglik,
         aic=2 * unknowns - 2 * loglik,
-        bic=unknowns * float(np.log(noise.samples)) - 2 * loglik,
+        bic=unknowns * float(np.log(samples)) - 2 * loglik,
         fit_percent=fitted,
         unknowns=unknowns,
         whiteness=whiteness,
         order_table=tuple(
-            OrderRow(row.order, float(np.exp(-2 * row.loglik / noise.samples - 1) / (2 * np.pi)), row.aic, row.bic,
+            OrderRow(row.order, float(np.exp(-2 * row.loglik / samples - 1) / (2 * np.pi)), row.aic, row.bic,
                      _checks.readonly(np.abs(row.poles)))
             for row in free.order_table
         ),
@@ -765,38 +766,14 @@ def _experiments(
     return tuple(experiments)
 
 
-@dataclass(frozen=True)
-class _Variances:
+def _variances(predicted: Pairs, per_entry: bool) -> tuple[Array, Array]:
     """Number of real residuals of each output or entry, and their weighted mean square, the likeliest variance."""
-
-    counts: Array
-    each: Array
-
-    @classmethod
-    def of(cls, predicted: Pairs, per_entry: bool) -> _Variances:
-        """Those of what predictions leave."""
-        counts = np.ravel(
-            sum((record.observed & ~np.isnan(values)).sum(axis=-1) * (1 + per_entry) for record, values in predicted)
-        )
-        losses = sum(np.sum(weights * np.abs(residuals) ** 2, axis=-1) for weights, _, residuals in pieces(predicted))
-        divisor = np.maximum(counts, 1)
-        return cls(counts, np.maximum(np.ravel(losses), np.finfo(float).tiny * divisor) / divisor)
-
-    @property
-    def samples(self) -> int:
-        """Number of all residuals."""
-        return int(self.counts.sum())
-
-    @property
-    def loglik(self) -> float:
-        """Log-likelihood of normally distributed residuals."""
-        known = self.counts > 0
-        return float(-0.5 * np.sum(self.counts[known] * (np.log(2 * np.pi * self.each[known]) + 1)))
-
-    @property
-    def loss(self) -> float:
-        """Geometric mean over all residuals."""
-        return float(np.exp(self.counts @ np.log(self.each) / max(1, self.samples)))
+    counts = np.ravel(
+        sum((record.observed & ~np.isnan(values)).sum(axis=-1) * (1 + per_entry) for record, values in predicted)
+    )
+    losses = sum(np.sum(weights * np.abs(residuals) ** 2, axis=-1) for weights, _, residuals in pieces(predicted))
+    divisor = np.maximum(counts, 1)
+    return counts, np.maximum(np.ravel(losses), np.finfo(float).tiny * divisor) / divisor
 
 
 def _residuals(experiment: FittedChannels) -> dict[str, Signal]:
