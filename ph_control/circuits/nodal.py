@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -105,55 +106,75 @@ def _system(elements: Sequence[Element], names: dict[str, Any]) -> DissipativePo
     coils = _Coils(elements)
     turns = _Transformers(elements, coils)
     left_out = turns.sensing | coils.dependent
-    branches = [one for letter in _TREE for one in elements if one.letter == letter and one.name not in left_out]
-    ports = [one for one in elements if one.letter in "VI" and one.name not in turns.sensing]
+    each = [part for letter in _TREE for part in elements if part.letter == letter and part.name not in left_out]
+    ports = [part for part in elements if part.letter in "VI" and part.name not in turns.sensing]
     _refuse_unconnected(elements)
     if not ports:
         raise StructureError("the netlist has no source; put a voltage or a current source at each port")
-    F, tree = _fundamental(branches, turns)
-    _refuse_contradictions(branches, F, tree)
-
-    def rows(letter: str, inside: bool | None = None) -> list[int]:
-        return [
-            k for k, one in enumerate(branches)
-            if one.letter == letter and (inside is None or (k in tree) == inside)
-        ]  # fmt: skip
-
-    def block(some: list[int], letter: str) -> Array:
-        return F[np.ix_(some, [tree.index(k) for k in rows(letter, True)])]
-
-    every_L, link_L = rows("L"), rows("L", False)
-    # currents of all inductors by those outside of the tree
-    W = np.zeros((len(every_L), len(link_L)))
-    W[[every_L.index(k) for k in link_L], range(len(link_L))] = 1.0
-    W[[every_L.index(k) for k in rows("L", True)]] = -block(link_L, "L").T
-    capacitors = rows("C")
-    charge = block(capacitors, "C")
-    capacitance = charge.T @ (np.array([branches[k].value for k in capacitors])[:, None] * charge)
-    inductance = W.T @ coils.inductance @ W
-    K = _kirchhoff(block, rows, np.array([1.0 / branches[k].value for k in rows("R")]), link_L)
-    nc, nl = len(capacitance), len(inductance)
-    n = nc + nl
+    branches = _Branches(each, *_fundamental(each, turns))
+    _refuse_contradictions(branches)
+    capacitance, inductance = _storage(branches, coils.inductance)
+    K = _kirchhoff(branches)
+    n = len(capacitance) + len(inductance)
     if n == 0:
         raise StructureError("the netlist has no capacitor and no inductor, and so no state; nothing moves in it")
-    order = [(rows("V") + rows("I")).index(branches.index(port)) for port in ports]
-    pick = np.array([*range(n), *(n + k for k in order)])
+    sources = branches.of("V") + branches.of("I")
+    pick = np.array([*range(n), *(n + sources.index(each.index(port)) for port in ports)])
     energies, turns_of_states = zip(*map(_energy, (capacitance, inductance)), strict=True)
     Q, turn = block_diag(*energies), block_diag(*turns_of_states, np.eye(len(ports)))
     K = turn @ K[np.ix_(pick, pick)] @ turn.T
     skew, symmetric = 0.5 * (K - K.T), 0.5 * (K + K.T)
-    kept = [branches[k].name for k in [*rows("C", True), *link_L]]
-    kinds = [("v", "i") if port.letter == "V" else ("i", "v") for port in ports]
-    labels = {
-        "inputs": [f"{kind[0]}_{_label(port.name)}" for kind, port in zip(kinds, ports, strict=True)],
-        "outputs": [f"{kind[1]}_{_label(port.name)}" for kind, port in zip(kinds, ports, strict=True)],
-        "states": [f"{'q' if k < nc else 'phi'}_{_label(one)}" for k, one in enumerate(kept)],
-    }
     given = {key if key.endswith("s") or key == "name" else f"{key}s": value for key, value in names.items()}
     return DissipativePortHamiltonian(
         Q, -skew[:n, n:], R=symmetric[:n, :n], P=symmetric[:n, n:], S=symmetric[n:, n:], N=skew[n:, n:],
-        J=-skew[:n, :n], **(labels | given),
+        J=-skew[:n, :n], **(_signals(branches, ports) | given),
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Branches:
+    """Branches of a circuit, their voltages by those of a tree, `F`, and the places of the tree among them."""
+
+    each: list[Element]
+    F: Array
+    tree: list[int]
+
+    def of(self, letter: str, inside: bool | None = None) -> list[int]:
+        """Places of branches of a kind: of all, or of those inside or outside of the tree."""
+        return [
+            k for k, branch in enumerate(self.each)
+            if branch.letter == letter and (inside is None or (k in self.tree) == inside)
+        ]  # fmt: skip
+
+    def block(self, places: list[int], letter: str) -> Array:
+        """Voltages of some branches by those of a kind in the tree."""
+        return self.F[np.ix_(places, [self.tree.index(k) for k in self.of(letter, True)])]
+
+    def values(self, letter: str) -> Array:
+        """Values of all branches of a kind."""
+        return np.array([self.each[k].value for k in self.of(letter)])
+
+
+def _storage(branches: _Branches, inductance: Array) -> tuple[Array, Array]:
+    """Capacitance matrix by voltages of the tree, and inductance matrix by currents outside of it."""
+    every_L, link_L = branches.of("L"), branches.of("L", False)
+    # currents of all inductors by those outside of the tree
+    W = np.zeros((len(every_L), len(link_L)))
+    W[[every_L.index(k) for k in link_L], range(len(link_L))] = 1.0
+    W[[every_L.index(k) for k in branches.of("L", True)]] = -branches.block(link_L, "L").T
+    charge = branches.block(branches.of("C"), "C")
+    return charge.T @ (branches.values("C")[:, None] * charge), W.T @ inductance @ W
+
+
+def _signals(branches: _Branches, ports: list[Element]) -> dict[str, list[str]]:
+    """Names of inputs, outputs and states after the elements."""
+    kinds = [("v", "i") if port.letter == "V" else ("i", "v") for port in ports]
+    stores = [("q", k) for k in branches.of("C", True)] + [("phi", k) for k in branches.of("L", False)]
+    return {
+        "inputs": [f"{kind[0]}_{_label(port.name)}" for kind, port in zip(kinds, ports, strict=True)],
+        "outputs": [f"{kind[1]}_{_label(port.name)}" for kind, port in zip(kinds, ports, strict=True)],
+        "states": [f"{kind}_{_label(branches.each[k].name)}" for kind, k in stores],
+    }
 
 
 def _label(name: str) -> str:
@@ -352,13 +373,14 @@ def _echelon(rows: Array) -> tuple[Array, list[int]]:
     return table[:, columns], basis
 
 
-def _kirchhoff(block: Any, rows: Any, conductances: Array, link_L: list[int]) -> Array:
+def _kirchhoff(branches: _Branches) -> Array:
     """Matrix K of `(q', phi', -y) = -K (v_C, i_L, u)`, with `K + K^T >= 0`.
 
     States: voltages of the tree's capacitors, currents of the other inductors; u: voltages, then currents, of sources.
     """
-    C_R, V_R, R_R = (block(rows("R"), letter) for letter in "CVR")
-    sources = rows("I")
+    block, sources, link_L = branches.block, branches.of("I"), branches.of("L", False)
+    C_R, V_R, R_R = (block(branches.of("R"), letter) for letter in "CVR")
+    conductances = 1.0 / branches.values("R")
     # resistors have the voltages `T (v_C, i_L, V, I)` plus `R_R v_r`, and `v_r` follows from the currents at them
     nl, ni = len(link_L), len(sources)
     T = np.hstack([C_R, np.zeros((len(C_R), nl)), V_R, np.zeros((len(C_R), ni))])
@@ -412,7 +434,8 @@ def _refuse_unconnected(elements: Sequence[Element]) -> None:
         )
 
 
-def _refuse_contradictions(branches: list[Element], F: Array, tree: list[int]) -> None:
+def _refuse_contradictions(circuit: _Branches) -> None:
+    branches, F, tree = circuit.each, circuit.F, circuit.tree
     inside = set(tree)
     for k, one in enumerate(branches):
         letters = [branches[t].letter for t in tree]

@@ -230,6 +230,21 @@ def read_model(name: str) -> Model:
 
 def coefficients_in(content: bytes, name: str) -> dict[str, list[float]]:
     """Named lists of numbers in a text: a line for each, or a column for each under a header."""
+    coefficients: dict[str, list[float]] = {}
+    for place, key, text in _named_texts(content, name):
+        meaning = _MEANING.get(key.casefold(), "")
+        if not meaning or meaning in coefficients:
+            wrong = "there twice" if meaning else "not known"
+            raise FileFormatError(f"{name}, {place}: {key!r} is {wrong}; {_AS_TEXT}")
+        try:
+            coefficients[meaning] = list_of_numbers(text)
+        except ValueError as error:
+            raise FileFormatError(f"{name}, {place}: {error}; {_AS_TEXT}") from None
+    return coefficients
+
+
+def _named_texts(content: bytes, name: str) -> list[tuple[str, str, str]]:
+    """Place, name and text of each list; two lines without names are num and den."""
     from ..io.text_table import text_lines
 
     numbered = [(k, _COMMENT.sub("", line).strip(" ")) for k, line in enumerate(text_lines(content, name), 1)]
@@ -243,26 +258,15 @@ def coefficients_in(content: bytes, name: str) -> dict[str, list[float]]:
         columns = [",".join(column).rstrip(", \t") for column in zip_longest(*rows, fillvalue="")]
         if len(columns) != len(header):
             raise FileFormatError(f"{name} has {len(columns)} columns below {len(header)} names; correct it")
-        lists = [(f"column {key}", key, text) for key, text in zip(header, columns, strict=True)]
-    elif len(lines) == 2:
-        lists = []
-        for default, (k, line) in zip(("num", "den"), lines, strict=True):
-            named = _NAMED.fullmatch(line.strip())
-            lists.append((f"line {k}", named[1], named[2]) if named else (f"line {k}", default, line))
-    else:
+        return [(f"column {key}", key, text) for key, text in zip(header, columns, strict=True)]
+    if len(lines) != 2:
         recording = "; ph-control fit reads recordings" * (len(lines) > 2)
         raise FileFormatError(f"{name} has {len(lines)} line{'s' * (len(lines) != 1)} of text; {_AS_TEXT}{recording}")
-    found: dict[str, list[float]] = {}
-    for place, key, text in lists:
-        meaning = _MEANING.get(key.casefold(), "")
-        if not meaning or meaning in found:
-            wrong = "there twice" if meaning else "not known"
-            raise FileFormatError(f"{name}, {place}: {key!r} is {wrong}; {_AS_TEXT}")
-        try:
-            found[meaning] = list_of_numbers(text)
-        except ValueError as error:
-            raise FileFormatError(f"{name}, {place}: {error}; {_AS_TEXT}") from None
-    return found
+    texts = []
+    for default, (k, line) in zip(("num", "den"), lines, strict=True):
+        named = _NAMED.fullmatch(line.strip())
+        texts.append((f"line {k}", named[1], named[2]) if named else (f"line {k}", default, line))
+    return texts
 
 
 def system_of(fields: Mapping[str, Any], source: str, name: str) -> Any:
@@ -272,55 +276,80 @@ def system_of(fields: Mapping[str, Any], source: str, name: str) -> Any:
     """
     import control as ct
 
-    from .. import _checks
-
     # a structure such as that of struct(ss(...)) is looked into
     inner = [value for value in fields.values() if isinstance(value, Mapping)]
     fields = inner[0] if len(fields) == 1 and inner else fields
-    spelt = {known: key for known in _KNOWN if (key := _spelling(fields, known, source)) is not None}
-
-    def array(known: str) -> Any:
-        return _checks.real_array(f"{source}: {spelt[known]}", fields[spelt[known]])
-
-    def vector(known: str) -> Any:
-        given = array(known)
-        if given.size == 0 or given.size != max(given.shape, default=1):
+    arrays = _Arrays(fields, source, {
+        known: key for known in _KNOWN if (key := _spelling(fields, known, source)) is not None
+    })  # fmt: skip
+    for step in {"Ts", "dt"} & set(arrays.spelt):
+        if fields[arrays.spelt[step]] is not None and arrays.array(step).any():
             raise FileFormatError(
-                f"{source}: {known} has shape {given.shape}; expected one row of numbers: systems with one input and "
-                "one output"
-            )
-        return given.reshape(-1)
-
-    def port() -> Any:
-        given = array("B")
-        return given.reshape(-1, 1) if given.ndim == 1 else given
-
-    for step in {"Ts", "dt"} & set(spelt):
-        if fields[spelt[step]] is not None and array(step).any():
-            raise FileFormatError(
-                f"{source} is a sampled system ({spelt[step]} = {array(step).flat[0]:g}), and a lossless model runs in "
-                "continuous time; convert it first: in MATLAB by d2c, in Python by ph_control.ph with its method"
+                f"{source} is a sampled system ({arrays.spelt[step]} = {arrays.array(step).flat[0]:g}), and a lossless "
+                "model runs in continuous time; convert it first: in MATLAB by d2c, in Python by ph_control.ph with "
+                "its method"
             )
     try:
-        if "Q" in spelt and ("G" in fields or ("A" not in spelt and "B" in spelt and "R" in fields)):
-            return _with_losses(fields, array("Q"), port() if "B" in spelt else None, source, name)
-        if {"A", "B", "C"} <= set(spelt):
-            D = array("D") if "D" in spelt else 0.0
-            return ct.ss(array("A"), port(), array("C"), D, name=name, remove_useless_states=False)
-        if {"num", "den"} <= set(spelt):
-            if not vector("den").any():
-                raise FileFormatError(f"{source}: the denominator is zero; give the coefficients of a polynomial")
-            return ct.tf(vector("num"), vector("den"), name=name)
-        if {"Q", "B"} <= set(spelt):
-            return phc.PortHamiltonian(array("Q"), port(), name=name)
-        if {"d", "r"} <= set(spelt):
-            return phc.modes(vector("d"), vector("r"))
+        system = _system_in(arrays, name)
     except PHControlError:
         raise
     except (ValueError, TypeError, ct.ControlDimension) as error:
         raise FileFormatError(f"{source} holds no system: {error}; {_ADVICE}") from None
+    if system is not None:
+        return system
     listed = ", ".join(map(repr, [*fields][:12])) + f" and {len(fields) - 12} more" * (len(fields) > 12)
     raise FileFormatError(f"{source} holds {listed or 'no arrays'}; {_ADVICE}")
+
+
+@dataclass(frozen=True)
+class _Arrays:
+    """Arrays of a file by their usual names; `spelt` tells how these are written there."""
+
+    fields: Mapping[str, Any]
+    source: str
+    spelt: Mapping[str, str]
+
+    def array(self, known: str) -> Any:
+        """Array of real numbers."""
+        from .. import _checks
+
+        return _checks.real_array(f"{self.source}: {self.spelt[known]}", self.fields[self.spelt[known]])
+
+    def vector(self, known: str) -> Any:
+        """Row of numbers, which others are refused for."""
+        given = self.array(known)
+        if given.size == 0 or given.size != max(given.shape, default=1):
+            raise FileFormatError(
+                f"{self.source}: {known} has shape {given.shape}; expected one row of numbers: systems with one input "
+                "and one output"
+            )
+        return given.reshape(-1)
+
+    def port(self) -> Any:
+        """Matrix B, of one column where it is a vector."""
+        given = self.array("B")
+        return given.reshape(-1, 1) if given.ndim == 1 else given
+
+
+def _system_in(arrays: _Arrays, name: str) -> Any:
+    """System of the first kind of which there are all arrays, or None."""
+    import control as ct
+
+    array, vector, fields, spelt = arrays.array, arrays.vector, arrays.fields, set(arrays.spelt)
+    if "Q" in spelt and ("G" in fields or ("A" not in spelt and "B" in spelt and "R" in fields)):
+        return _with_losses(fields, array("Q"), arrays.port() if "B" in spelt else None, arrays.source, name)
+    if {"A", "B", "C"} <= spelt:
+        D = array("D") if "D" in spelt else 0.0
+        return ct.ss(array("A"), arrays.port(), array("C"), D, name=name, remove_useless_states=False)
+    if {"num", "den"} <= spelt:
+        if not vector("den").any():
+            raise FileFormatError(f"{arrays.source}: the denominator is zero; give the coefficients of a polynomial")
+        return ct.tf(vector("num"), vector("den"), name=name)
+    if {"Q", "B"} <= spelt:
+        return phc.PortHamiltonian(array("Q"), arrays.port(), name=name)
+    if {"d", "r"} <= spelt:
+        return phc.modes(vector("d"), vector("r"))
+    return None
 
 
 def _with_losses(fields: Mapping[str, Any], Q: Any, B: Any, source: str, name: str) -> Any:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from .. import _checks
+from .._types import Array, Indices
 from ..modal.error_bounds import Separation, separate
 from ..modal.modal_form import ModalForm
 from ..numerics.graphs import components
@@ -74,19 +76,24 @@ def compare_filters(first: Separation, second: Separation, rtol: float | None = 
     error = MARGIN * (error + rounding * amplitude)
     allowed = error * (2 * amplitude + error) + 8 * max(1, len(d)) * _checks.EPS * size
     allowed += size * (d_error / np.where(d > 0, d, 1.0))
-    together = np.abs(d[:, None] - d) <= d_error[:, None] + d_error
-    if rtol is None:
-        for members, shift in ((g.members, k * first.modes.n) for k, s in enumerate(both) for g in s.groups):
-            together[np.ix_(members + shift, members + shift)] = True
-    label = components(together)[1]
+    groups = [] if rtol is not None else [g.members + k * first.modes.n for k, s in enumerate(both) for g in s.groups]
     worst, allowance, reason = 0.0, _checks.EPS, ""
-    for group in (np.flatnonzero(label == k) for k in range(label.max(initial=-1) + 1)):
-        left = float(np.abs(np.tensordot(sign[group], residues[group], axes=1)).max())
+    for group in _common_poles(d, d_error, groups):
+        difference = float(np.abs(np.tensordot(sign[group], residues[group], axes=1)).max())
         whole = float(size[group].sum() if rtol is None else size.max()) or 1.0
         bound = float(allowed[group].sum()) / whole if rtol is None else max(rtol, _checks.EPS)
-        if left / whole * allowance > worst * bound:
+        if difference / whole * allowance > worst * bound:
             totals = [float(np.trace(residues[group][sign[group] == s].sum(axis=0)).real) for s in (1.0, -1.0)]
-            at = f"at frequency {d[group].mean():.6g}" if d[group].any() else "at 0"
-            worst, allowance = left / whole, bound
-            reason = f"the residues {at} differ: {totals[0]:.6g} and {totals[1]:.6g}"
+            place = f"at frequency {d[group].mean():.6g}" if d[group].any() else "at 0"
+            worst, allowance = difference / whole, bound
+            reason = f"the residues {place} differ: {totals[0]:.6g} and {totals[1]:.6g}"
     return Verdict(bool(worst <= allowance), float(worst), float(allowance), None, reason)
+
+
+def _common_poles(d: Array, error: Array, groups: Sequence[Indices]) -> list[Indices]:
+    """Poles whose error disks overlap, or that are in a group, in sets that have none in common."""
+    together = np.abs(d[:, None] - d) <= error[:, None] + error
+    for members in groups:
+        together[np.ix_(members, members)] = True
+    label = components(together)[1]
+    return [np.flatnonzero(label == k) for k in range(label.max(initial=-1) + 1)]

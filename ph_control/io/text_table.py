@@ -166,18 +166,7 @@ def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: s
     """Read a file and find its layout: separator, decimal sign, labels, number of columns."""
     _check_layout(header, delimiter, decimal)
     name = source_name(path)
-    data = read_bytes(path)
-    if data[:64].lstrip()[:1] == b"{":
-        raise FileFormatError(
-            f"{name} holds JSON, perhaps a model, and a table of measurements is needed; ph-control info shows models"
-        )
-    lines = text_lines(data, name)
-    content = _content(lines, None)
-    if content and _join_header(lines, content[0]):
-        content = _content(lines, None)
-    if not content:
-        found = "holds only comments" if any(line.strip() for line in lines) else "is empty"
-        raise FileFormatError(f"{name} {found}; it needs rows of numbers")
+    lines, content = _lines_of_table(read_bytes(path), name)
     announced = re.fullmatch(r'"?sep=(.)"? *', lines[content[0]])
     if announced:
         delimiter, lines[content[0]] = delimiter or announced[1], ""
@@ -193,20 +182,42 @@ def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: s
     decimal = _decimal(rows, delimiter) if decimal is None else decimal
     labels = None
     if rows and _has_header(name, rows, numbers, delimiter, decimal, header):
-        labels = tuple(_header_fields(rows.pop(0), delimiter))
-        header_line = numbers.pop(0)
-        if not rows:
-            raise FileFormatError(f"{name} has a header in line {header_line} and no rows of numbers below it")
-        units = _units(labels, rows, delimiter, decimal)
-        if units:
-            labels = tuple(f"{a} [{b}]" if a and b else a for a, b in zip(labels, units, strict=True))
-            del rows[0], numbers[0]
+        labels = _take_header(name, rows, numbers, delimiter, decimal)
     if not rows:
         raise FileFormatError(f"{name} has no rows of numbers")
     width = _width(name, rows, numbers, delimiter, labels)
     if labels is None and header is None:
         labels = _labels_in_comment(lines, numbers[0] - 1, delimiter, width)
     return Table(name, labels and labels[:width], width, rows, numbers, delimiter, decimal)
+
+
+def _lines_of_table(data: bytes, name: str) -> tuple[list[str], list[int]]:
+    """Lines of a text, a header in one of them, and the indices of those that are neither blank nor comments."""
+    if data[:64].lstrip()[:1] == b"{":
+        raise FileFormatError(
+            f"{name} holds JSON, perhaps a model, and a table of measurements is needed; ph-control info shows models"
+        )
+    lines = text_lines(data, name)
+    content = _content(lines, None)
+    if content and _join_header(lines, content[0]):
+        content = _content(lines, None)
+    if not content:
+        state = "holds only comments" if any(line.strip() for line in lines) else "is empty"
+        raise FileFormatError(f"{name} {state}; it needs rows of numbers")
+    return lines, content
+
+
+def _take_header(name: str, rows: list[str], numbers: list[int], delimiter: str, decimal: str) -> tuple[str, ...]:
+    """Take the header, and a row of units below it, away from the rows; return the labels."""
+    labels = tuple(_header_fields(rows.pop(0), delimiter))
+    header_line = numbers.pop(0)
+    if not rows:
+        raise FileFormatError(f"{name} has a header in line {header_line} and no rows of numbers below it")
+    units = _units(labels, rows, delimiter, decimal)
+    if not units:
+        return labels
+    del rows[0], numbers[0]
+    return tuple(f"{a} [{b}]" if a and b else a for a, b in zip(labels, units, strict=True))
 
 
 def _join_header(lines: list[str], first: int) -> bool:

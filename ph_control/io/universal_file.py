@@ -312,36 +312,41 @@ def _recordings(
     functions: list[_Function], name: str, inputs: list[str] | None, outputs: list[str] | None
 ) -> Iterator[tuple[int, TimeResponseData]]:
     """Recordings of several channels, each with the place of its first channel."""
-    groups: list[tuple[int, list[_Function]]] = []
-    for place, one in enumerate(functions):
-        if not one.in_time:
-            continue
-        last = groups[-1][1] if groups else []
-        known = {(each.response, each.is_force) for each in last}
-        fits = last and last[0].load_case == one.load_case and _same_axis(last[0].abscissa, one.abscissa)
-        if not fits or (one.response, one.is_force) in known:
-            groups.append((place, []))
-        groups[-1][1].append(one)
-    for place, channels in groups:
-        driving = {one.response: one for one in channels if one.is_force}
-        moving = {one.response: one for one in channels if not one.is_force}
+    for place, channels in _recorded_together(functions):
+        driving = {channel.response: channel for channel in channels if channel.is_force}
+        moving = {channel.response: channel for channel in channels if not channel.is_force}
         if inputs is not None:
-            # a label may be that of a force and of a motion at one place
+            # a label may be that of a force and of a motion at channel place
             candidates = {**moving, **driving}
             driving = {label: candidates[label] for label in inputs if label in candidates}
-            moving = {label: one for label, one in moving.items() if driving.get(label) is not one}
+            moving = {label: channel for label, channel in moving.items() if driving.get(label) is not channel}
         if outputs is not None:
             moving = {label: moving[label] for label in outputs if label in moving}
         if not moving or (inputs is not None and not driving):
             if inputs is None and outputs is None:
                 raise FileFormatError(f"{name} holds a recording of forces without responses; export these as well")
             continue
-        u, y = (np.array([one.values for one in side.values()], float) for side in (driving, moving))
+        u, y = (np.array([channel.values for channel in side.values()], float) for side in (driving, moving))
         grid = complete_grid(channels[0].abscissa, u, list(driving), name)
         data = recording(grid, u, y, list(driving), list(moving), name, "s")
-        forced = all(one.is_force for one in driving.values())
-        functions = [replace(one, by_force=forced) for one in moving.values()]
+        forced = all(channel.is_force for channel in driving.values())
+        functions = [replace(channel, by_force=forced) for channel in moving.values()]
         yield place, _described(data, list(moving), list(driving), functions)
+
+
+def _recorded_together(functions: list[_Function]) -> list[tuple[int, list[_Function]]]:
+    """Functions of time one after the other with one axis and load case, no channel twice; the place of the first."""
+    groups: list[tuple[int, list[_Function]]] = []
+    for place, function in enumerate(functions):
+        if not function.in_time:
+            continue
+        last = groups[-1][1] if groups else []
+        known = {(each.response, each.is_force) for each in last}
+        fits = last and last[0].load_case == function.load_case and _same_axis(last[0].abscissa, function.abscissa)
+        if not fits or (function.response, function.is_force) in known:
+            groups.append((place, []))
+        groups[-1][1].append(function)
+    return groups
 
 
 def _described(data: Any, outputs: list[str], inputs: list[str], functions: list[_Function]) -> Any:

@@ -178,32 +178,36 @@ def write_uff(
 
 def _nodes_of(labels: Sequence[str], places: Any) -> tuple[list[int], list[int], Array]:
     """Nodes, ascending, and for each output its column among three for each of these, and its sign."""
-    if isinstance(places, Mapping):
-        unknown = [name for name in places if name not in labels]
-        if unknown:
-            raise StructureError(f"places names {unknown[0]!r}; the outputs are {', '.join(map(repr, labels))}")
-        found = [places.get(label, label) for label in labels]
-    else:
-        given = [places] if isinstance(places, str) else labels if places is None else places
-        found = list(given) if isinstance(given, list | tuple) else [given]
-    if len(found) != len(labels):
-        raise StructureError(f"places has {len(found)} entries for {len(labels)} outputs; give one for each")
-    parts = [_PLACE.fullmatch(one) if isinstance(one, str) else None for one in found]
-    for one, part in zip(found, parts, strict=True):
+    each = _place_of_each(labels, places)
+    if len(each) != len(labels):
+        raise StructureError(f"places has {len(each)} entries for {len(labels)} outputs; give one for each")
+    parts = [_PLACE.fullmatch(place) if isinstance(place, str) else None for place in each]
+    for place, part in zip(each, parts, strict=True):
         if part is None:
             raise StructureError(
-                f"{_checks.shown(one)} is not a node and translation direction; pass such as places=['3+Z', ..]"
+                f"{_checks.shown(place)} is not a node and translation direction; pass such as places=['3+Z', ..]"
             )
     known = [(int(part[1]), _AXES.index(part[3])) for part in parts if part]
     twice = next((k for k, one in enumerate(known) if one in known[:k]), None)
     if twice is not None:
         raise StructureError(
-            f"outputs {labels[known.index(known[twice])]!r} and {labels[twice]!r} are both at {found[twice]!r}; give "
+            f"outputs {labels[known.index(known[twice])]!r} and {labels[twice]!r} are both at {each[twice]!r}; give "
             "them different nodes, places=['3+Z', ..]"
         )
     nodes = sorted({node for node, _ in known})
     columns = [3 * nodes.index(node) + axis for node, axis in known]
     return nodes, columns, np.array([-1.0 if part and part[2] == "-" else 1.0 for part in parts])
+
+
+def _place_of_each(labels: Sequence[str], places: Any) -> list[Any]:
+    """Places of the outputs as they were given: by label in a mapping, in a list, or the labels themselves."""
+    if isinstance(places, Mapping):
+        unknown = [name for name in places if name not in labels]
+        if unknown:
+            raise StructureError(f"places names {unknown[0]!r}; the outputs are {', '.join(map(repr, labels))}")
+        return [places.get(label, label) for label in labels]
+    given = labels if places is None else places
+    return list(given) if isinstance(given, list | tuple) else [given]
 
 
 def _data_set(

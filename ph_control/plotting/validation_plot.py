@@ -466,38 +466,41 @@ def stabilisation_data(
     least_mac: float = 0.95,
 ) -> StabilisationData:  # fmt: skip
     """Compute what `stabilisation_plot` draws, of its arguments."""
-    found = given.stabilisation() if hasattr(given, "stabilisation") else given
-    try:
-        rows = [_one_order(k, one) for k, one in enumerate(found)]
-    except (TypeError, OSError):  # python-control raises the last on being iterated
-        raise StructureError(
-            f"poles is a {type(found).__name__}; pass a sequence with poles, or (poles, shapes), of each order"
-        ) from None
-    if not rows:
-        raise StructureError("there are no orders; pass the poles of one at least")
-    sensors = {shapes.shape[1] for _, shapes in rows if shapes is not None}
-    if len(sensors) > 1 or (sensors and any(shapes is None for _, shapes in rows)):
-        raise StructureError("the orders differ in the outputs of their shapes; give shapes of the same ones with each")
-    poles = [row for row, _ in rows]
-    shapes = [row for _, row in rows if row is not None]
+    poles, shapes = _poles_and_shapes(given.stabilisation() if hasattr(given, "stabilisation") else given)
     levels, _ = stable_poles(
-        poles, shapes or None, frequency_tolerance=frequency_tolerance, damping_tolerance=damping_tolerance,
+        poles, shapes, frequency_tolerance=frequency_tolerance, damping_tolerance=damping_tolerance,
         least_mac=least_mac,
     )  # fmt: skip
     names = _checks.real_array("orders", [len(row) for row in poles] if orders is None else orders, 1)
-    if len(names) != len(rows):
-        raise StructureError(f"there are {len(names)} orders for the poles of {len(rows)}; give one for each")
+    if len(names) != len(poles):
+        raise StructureError(f"there are {len(names)} orders for the poles of {len(poles)}; give one for each")
     moving = [row.imag > 0 for row in poles]
     words = [
         "new",
         f"stable frequency ({100 * frequency_tolerance:g} %)",
         f"and damping ({100 * damping_tolerance:g} %)",
     ]
-    words += [f"and shape (MAC {least_mac:g})"] if shapes and sensors != {1} else []
+    words += [f"and shape (MAC {least_mac:g})"] if shapes and shapes[0].shape[1] != 1 else []
     return StabilisationData(
         names, [np.abs(row)[mask] for row, mask in zip(poles, moving, strict=True)],
         [row[mask] for row, mask in zip(levels, moving, strict=True)], words,
     )  # fmt: skip
+
+
+def _poles_and_shapes(orders: Any) -> tuple[list[ComplexArray], list[ComplexArray] | None]:
+    """Poles of each order, and shapes of the same outputs with each, or with none."""
+    try:
+        rows = [_one_order(k, order) for k, order in enumerate(orders)]
+    except (TypeError, OSError):  # python-control raises the last on being iterated
+        raise StructureError(
+            f"poles is a {type(orders).__name__}; pass a sequence with poles, or (poles, shapes), of each order"
+        ) from None
+    if not rows:
+        raise StructureError("there are no orders; pass the poles of one at least")
+    shapes = [row for _, row in rows if row is not None]
+    if len({row.shape[1] for row in shapes}) > 1 or 0 < len(shapes) < len(rows):
+        raise StructureError("the orders differ in the outputs of their shapes; give shapes of the same ones with each")
+    return [row for row, _ in rows], shapes or None
 
 
 def _one_order(k: int, given: Any) -> tuple[ComplexArray, ComplexArray | None]:

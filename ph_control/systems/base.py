@@ -284,8 +284,10 @@ def refuse_losses(sys: Any, what: str) -> None:
         )
 
 
-def inherited_names(source: ct.InputOutputSystem, names: dict[str, Any], *kinds: str) -> dict[str, Any]:
-    """Names given, completed by those of the source; python-control takes `input` for `inputs` and so on."""
+def inherited_names(source: Any, names: dict[str, Any], *kinds: str) -> dict[str, Any]:
+    """Names given, completed by those of a system; python-control takes `input` for `inputs` and so on."""
+    if not isinstance(source, ct.InputOutputSystem):
+        return names
     kept = {} if source._generic_name_check() else {"name": source.name}
     for kind in kinds:
         if names.get(kind) is None and names.get(kind[:-1]) is None:

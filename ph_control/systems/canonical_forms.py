@@ -9,7 +9,6 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-import control as ct
 import numpy as np
 
 from .. import _checks
@@ -335,9 +334,7 @@ def oh(d: Any, v: ArrayLike | None = None, **names: Any) -> ObservableHamiltonia
 def _make(kind: type[Any], d: Any, v: ArrayLike | None, names: dict[str, Any]) -> Any:
     if v is not None:
         return kind(d, v, **names)
-    source = d
-    if isinstance(source, ct.InputOutputSystem):
-        names = inherited_names(source, names, "inputs", "outputs")
+    source, names = d, inherited_names(d, names, "inputs", "outputs")
     if isinstance(source, _CanonicalForm):
         return kind(source.d, source.v, **names)
     sys = full_port_hamiltonian(source)

@@ -427,15 +427,21 @@ def _side_by_side(members: Sequence[PortHamiltonian | Array], canonical: bool = 
     inputs, states = (list(chain.from_iterable(signals[kind])) for kind in ("inputs", "states"))
     split = [(found[:m], found[m:]) for found, (_, m) in zip(signals["outputs"], counts, strict=True)]
     outputs = list(chain(*(ports for ports, _ in split), *(sensors for _, sensors in split)))
+    whole = _Whole(parts, inputs, outputs, states, _owners(members), common_unit(systems))
     if canonical and all(is_canonical(part["J"]) for part in each):
-        starts = np.concatenate([[0], np.cumsum([n for n, _ in counts])])
-        halves = [(start, start + n // 2, start + n) for start, (n, _) in zip(starts, counts, strict=False)]
-        order = np.concatenate([np.r_[tuple(slice(a, b) for a, b, _ in halves)],
-                                np.r_[tuple(slice(b, c) for _, b, c in halves)]]).astype(int)  # fmt: skip
-        parts |= {name: parts[name][np.ix_(order, order)] for name in "QJR"}
-        parts |= {name: parts[name][order] for name in "GP"} | {"sensor_rows": parts["sensor_rows"][:, order]}
-        states = [states[k] for k in order]
-    return _Whole(parts, inputs, outputs, states, _owners(members), common_unit(systems))
+        return _positions_first(whole, [n for n, _ in counts])
+    return whole
+
+
+def _positions_first(whole: _Whole, sizes: Sequence[int]) -> _Whole:
+    """Positions of all systems of such numbers of states, then their momenta."""
+    ends = np.cumsum(sizes, dtype=int)
+    halves = [(end - n, end - n // 2, end) for n, end in zip(sizes, ends, strict=True)]
+    spans = [(start, middle) for start, middle, _ in halves] + [(middle, end) for _, middle, end in halves]
+    order = np.concatenate([np.zeros(0, int), *(np.arange(*span) for span in spans)])
+    parts = {name: whole.parts[name][np.ix_(order, order)] for name in "QJR"}
+    parts |= {name: whole.parts[name][order] for name in "GP"} | {"sensor_rows": whole.parts["sensor_rows"][:, order]}
+    return whole._replace(parts={**whole.parts, **parts}, states=[whole.states[k] for k in order])
 
 
 def _constant(K: Array) -> dict[str, Array]:

@@ -553,7 +553,6 @@ def parts_of_resonators(form: GeneralModalForm) -> Parts | None:
     """
     if form.noutputs != form.ninputs or form.feedthrough.any() or not form.n:
         return None
-    none = np.zeros(0, complex)
     resonators, damped = [], form.single
     _, shapes, participation = damped._both_halves
     residues = shapes[:, :, None] * participation[:, None, :]
@@ -570,17 +569,25 @@ def parts_of_resonators(form: GeneralModalForm) -> Parts | None:
         d = float(np.sqrt(square))
         resonators.append((d, -0.5 * float(np.trace(block.A)) / d, (block.C @ block.B).astype(complex)))
     modes = []
-    for d, zeta, K in resonators:
-        size = _GIVEN * EPS * np.linalg.norm(K)
-        if not zeta >= 0 or np.linalg.norm(K - K.T) > size or np.linalg.norm(K.imag) > size:
+    for resonator in resonators:
+        mode = _resonator(*resonator)
+        if mode is None:
             return None
-        sigma, W = eigh(K.real)
-        if sigma[0] < -size:
-            return None
-        rows = np.sqrt(np.maximum(sigma[-1:], 0.0))[:, None] * W[:, -1:].T
-        modes += [_PassiveMode(d, zeta, 1j * row * np.sign(row[np.abs(row).argmax()] or 1.0), none) for row in rows]
+        modes.append(mode)
     relaxations = _of_real_poles(real) if all(rate >= 0 for rate, _ in real) else None
     return None if relaxations is None else _side_by_side([*modes, *relaxations], form.feedthrough)
+
+
+def _resonator(d: float, zeta: float, K: ComplexArray) -> _PassiveMode | None:
+    """Mode of the response `K s / (s^2 + 2 zeta d s + d^2)`, or None where this is not passive."""
+    size = _GIVEN * EPS * np.linalg.norm(K)
+    if not zeta >= 0 or np.linalg.norm(K - K.T) > size or np.linalg.norm(K.imag) > size:
+        return None
+    sigma, W = eigh(K.real)
+    if sigma[0] < -size:
+        return None
+    row = np.sqrt(np.maximum(sigma[-1], 0.0)) * W[:, -1]
+    return _PassiveMode(d, zeta, 1j * row * np.sign(row[np.abs(row).argmax()] or 1.0), np.zeros(0, complex))
 
 
 def _no_response_at_zero(block: Cluster) -> bool:

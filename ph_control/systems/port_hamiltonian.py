@@ -741,51 +741,73 @@ def _of_system(
     sampled = isinstance(source, ct.InputOutputSystem) and source.isdtime(strict=True)
     if not sampled:
         _refuse_sampling(method, intersample)
-    if isinstance(source, ModalForm) and source.is_lossless:
-        return PortHamiltonian._from_modes(source, **names)
+    known = _as_it_is(source, storage, lossless, ports, names)
+    if known is not None:
+        return known
     if isinstance(source, GeneralModalForm):
-        if storage == "auto" and ports is None and not lossless and (parts := parts_of_resonators(source)):
-            from .dissipative import restored as with_losses
-
-            return with_losses(parts, names, None, Conversion("modal", 0, 0.0))
         source = source.state_space()
-    if isinstance(source, LosslessSystem) and storage == "auto" and ports is None:
-        if lossless and isinstance(source, PortHamiltonian):
-            refuse_losses(source, "frequencies d and weights r are")
-        return source._converted(**names)
     sensors_last = False
     if ports is not None:
         source = in_port_order(_state_space(source, None), ports)
         sensors_last = source.noutputs > source.ninputs
-    kept = with_states = names
-    if isinstance(source, ct.InputOutputSystem):
-        kept = inherited_names(source, names, "inputs", "outputs")
-        with_states = inherited_names(source, names, *_SIGNALS)
+    kept = inherited_names(source, names, "inputs", "outputs")
     tested = _of_ports(source) if sensors_last else source
     plain = isinstance(tested, ct.StateSpace) and tested.isctime() and not isinstance(tested, LosslessSystem)
-    if plain and not sensors_last and (found := foster_test.hamiltonian_form(tested)):
-        return PortHamiltonian._from_matrices(*found, **with_states)
+    if plain and not sensors_last and (matrices := foster_test.hamiltonian_form(tested)):
+        return PortHamiltonian._from_matrices(*matrices, **inherited_names(source, names, *_SIGNALS))
+    modes: ModalForm | None = None
     refusal: NotLosslessError | None = None
     if lossless or not plain or not loses_energy(tested):
-        try:
-            judged = foster_test.lossless_modes_with_errors(tested, method, intersample)
-            if not sensors_last:
-                return PortHamiltonian._from_modes(judged.modes, **kept)
-        except NotLosslessError as refused:
-            if lossless or isinstance(source, scipy.signal.dlti):
-                raise
-            refusal = refused
+        required = lossless or isinstance(source, scipy.signal.dlti)
+        modes, refusal = _lossless_modes(tested, required, method, intersample)
+    if modes is not None and not sensors_last:
+        return PortHamiltonian._from_modes(modes, **kept)
     from .dissipative import of_passive
 
     if sampled:
         source = from_pole_residues(foster_test.of_sampled(source, method, intersample)).state_space()
     system = _state_space(source, refusal)
-    if not sensors_last and (system.ninputs != system.noutputs or not system.ninputs):
+    if not sensors_last:
+        _refuse_unpaired(system)
+    return of_passive(system, storage, refusal, kept)
+
+
+def _as_it_is(source: Any, storage: str, lossless: bool, ports: Any, names: dict[str, Any]) -> PortHamiltonian | None:
+    """Form of lossless modes, or, unless storage or ports are given, of other modes and of systems of this package."""
+    if isinstance(source, ModalForm) and source.is_lossless:
+        return PortHamiltonian._from_modes(source, **names)
+    if storage != "auto" or ports is not None:
+        return None
+    if isinstance(source, GeneralModalForm) and not lossless and (parts := parts_of_resonators(source)):
+        from .dissipative import restored as with_losses
+
+        return with_losses(parts, names, None, Conversion("modal", 0, 0.0))
+    if not isinstance(source, LosslessSystem):
+        return None
+    if lossless and isinstance(source, PortHamiltonian):
+        refuse_losses(source, "frequencies d and weights r are")
+    return source._converted(**names)
+
+
+def _lossless_modes(
+    system: Any, required: bool, method: str | None, intersample: str
+) -> tuple[ModalForm | None, NotLosslessError | None]:
+    """Modes of a system if it is lossless, or why it is not, which is raised where that is required."""
+    try:
+        return foster_test.lossless_modes_with_errors(system, method, intersample).modes, None
+    except NotLosslessError as refusal:
+        if required:
+            raise
+        return None, refusal
+
+
+def _refuse_unpaired(system: ct.StateSpace) -> None:
+    """Refuse a system of other numbers of inputs and outputs."""
+    if system.ninputs != system.noutputs or not system.ninputs:
         raise StructureError(
             f"the system has {system.ninputs} inputs and {system.noutputs} outputs; each input needs the output at its "
             "port: say which with ports=[(output, input), ..], the others become sensors"
         )
-    return of_passive(system, storage, refusal, kept)
 
 
 def _of_ports(sys: ct.StateSpace) -> ct.StateSpace:

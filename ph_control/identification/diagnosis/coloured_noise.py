@@ -56,21 +56,26 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     free = replace(free, findings=(*free.findings, *findings))
     if not projection.inputs or any(is_short(record) for record in records):
         return free
+    filters = [output.innovations for output in noise]
     through = any(finding.cause is Cause.INPUT_NOISE for finding in findings)
     if free.noise and not through and is_white(free.projection):
         return free
-    rows = [row for record in records for row in record.filtered([each.innovations for each in noise])]
+    return _whitened(free, projection, [row for record in records for row in record.filtered(filters)])
+
+
+def _whitened(free: FreeFit, projection: FreeProjection, rows: Sequence[FreeRecord]) -> FreeFit:
+    """The fit refined in rows of white noise; as it is where modes are lost, begin to grow, or grow twice as fast."""
     refined = refine_free(lambda _: rows, projection.p, free.region, _EXACT, projection.fed)
     if len(refined.p) != len(projection.p) or np.any(refined.p.real > 2 * np.maximum(projection.p.real, 0.0)):
         return free
-    if FreeProjection(projection.experiments, refined.p, projection.fed).loss > _ASTRAY * projection.loss:
+    measured = FreeProjection(projection.experiments, refined.p, projection.fed)
+    if measured.loss > _ASTRAY * projection.loss:
         return free
-    counts = np.zeros(len(noise))
+    counts = np.zeros(len(free.scales))
     for record in rows:
         counts[record.outputs] += record.samples
     sizes = np.sqrt(counts / refined.losses)[:, None]
     rows = [record.in_units(float(sizes[record.outputs[0], 0])) for record in rows]
-    measured = FreeProjection(projection.experiments, refined.p, projection.fed)
     return replace(free, projection=FreeProjection(rows, refined.p, projection.fed), measured=measured)
 
 

@@ -358,17 +358,19 @@ def _with_delay(
     trials = [_delayed(fit, best, hypothesis, request, False) for fit in (free, other()) if fit is not None]
     trial = min((candidate for candidate in trials if candidate is not None), key=_cost, default=best)
     if _explains(trial, best):
-        # modes too many may have stood for the delay
-        anew = trial.free if with_delay is None else with_delay(trial.free.delay[_places(free)])
-        if anew.interrupted:
-            raise KeyboardInterrupt
-        anew = replace(anew, findings=free.findings, delay_gain=trial.free.delay_gain)
-        frees = [trial.free, anew.with_delay_open(True)]
-        candidates = [_in_rows_of(fit, request) for fit in frees if fit.order]
-        chosen = min(candidates, key=_cost)
+        chosen = _searched_anew(trial.free, request, with_delay)
         if _explains(chosen, best) and (_stands(chosen, request) or _gain(chosen, best) > TUNING.sure):
             return chosen
     return _refined(best, "free", request) if late and best.fit.structure == "free" else best
+
+
+def _searched_anew(late: FreeFit, request: Request, with_delay: WithDelay | None) -> _Chosen:
+    """The structure in rows with delays, after a search in these: modes too many may have stood for the delay."""
+    anew = late if with_delay is None else with_delay(late.delay[_places(late)])
+    if anew.interrupted:
+        raise KeyboardInterrupt
+    anew = replace(anew, findings=late.findings, delay_gain=late.delay_gain).with_delay_open(True)
+    return min((_in_rows_of(free, request) for free in (late, anew) if free.order), key=_cost)
 
 
 def _explains(trial: _Chosen, best: _Chosen) -> bool:
@@ -589,7 +591,6 @@ def _judged(
     rounding = free.rounding and not refused
     rank = np.lexsort((np.abs(fit.p), fit.p.imag == 0))
     poles = fit.p[rank]
-    modes = int(np.sum(poles.imag != 0))
     residues = fit.residues[rank] * np.where(poles.imag == 0, 2.0, 1.0)[:, None, None]
     covariance = _covariance(fit, free, rank)
     measured = _in_data(fit, free)
@@ -600,45 +601,28 @@ def _judged(
     unknowns = free.unknowns + min(0, extra) + delays + len(free.scales)
     delay, delay_stderr = _delays(fit, free)
     predicted = [(experiment.record, experiment.predicted) for experiment in experiments]
-    counts, losses = _losses(experiments, free.per_entry)
-    floor = np.maximum(losses, np.finfo(float).tiny * np.maximum(counts, 1))
-    known = counts > 0
-    variances = floor / np.maximum(counts, 1)
+    counts, variances = _variances(experiments, free.per_entry)
+    samples, known = int(counts.sum()), counts > 0
     loglik = float(-0.5 * np.sum(counts[known] * (np.log(2 * np.pi * variances[known]) + 1)))
     if free.noise:  # that of the innovations, less what a structure costs
         loglik = free.criteria.loglik - 0.5 * (fit.loss - free.projection.loss) / free.variance
-    samples = int(counts.sum())
-    spare = max(1, samples - (unknowns - len(free.scales)))  # as variances are divided by it, they are none of them
+    # as variances are divided by it, they are none of the unknowns
+    spare = max(1, samples - (unknowns - len(free.scales)))
     single = residues.shape[1] == 1 and residues.shape[2] <= 1
-    shown: Any = experiments
-    if single:
-        lossless = fit.structure == "lossless" and residues.shape[2] == 1 and bool(np.all(fit.p.imag > 0))
-        errors_of_states = _state_errors(measured, fit, free, rank, request.quantities[0], lossless)
-        shown = tuple(
-            _squeezed(data, poles, residues, request.quantities[0], lossless, error)
-            for data, error in zip(experiments, errors_of_states, strict=True)
-        )
+    shown: Any = _squeezed(experiments, measured, fit, free, rank, request.quantities[0]) if single else experiments
     model = FittedModel(
         poles, residues, fit.feedthrough, covariance, delay, request.quantities, free.method, free.intersample
     )
     whiteness = 1.0 if rounding else _whiteness(experiments, shown if single else (), model)
-    fitted = joint_percent(shares_left(predicted))
-    found_late = _lateness(free, delay, delay_stderr) if free.delay_open else ()
-    rejections = [_rejection(test) for test in tests if test.hypothesis in REJECTED and test.p < LEVEL]
-    findings = (*(_in_model(finding, experiments) for finding in findings), *found_late, *rejections)
-    findings = (*findings, *_reversed(free, request), *_saturated(experiments))
+    findings = (
+        *(_in_model(finding, experiments) for finding in findings), *_lateness(free, delay, delay_stderr),
+        *_rejections(tests), *_reversed(free, request), *_saturated(experiments),
+    )  # fmt: skip
     if whiteness >= WHITE and not (rounding or free.interrupted):
         findings = (*findings, *_outliers(experiments, spare))
-    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    errors_of_decay = np.append(spread[len(poles) :][:modes] * np.abs(poles[:modes]), spread[modes : len(poles)])
-    growing = np.flatnonzero(poles.real > _CERTAIN * errors_of_decay)
-    length = max(
-        (channel.dt * channel.samples for channel in free.channels if isinstance(channel, Recording)), default=np.inf
-    )
-    slow = np.flatnonzero(np.abs(poles[:modes]) * length < 2 * np.pi * (1 - 1e-6))
-    far = any(finding.cause is Cause.OUTLIERS for finding in findings)
-    blind = bool(fit.point.deficiency)
-    outcome = _outcome(free, fitted, whiteness, spare, far or blind, refused)
+    blind = _what_is_blind(shown, poles, residues, request, free) if fit.point.deficiency else ""
+    fitted = joint_percent(shares_left(predicted))
+    evidence = _Evidence(free, tests, findings, fitted, whiteness, spare, refused, blind)
     return PEMResult(
         structure=fit.structure,
         poles=poles,
@@ -668,16 +652,13 @@ def _judged(
         tests=tests,
         findings=findings,
         success=fit.converged and not free.interrupted,
-        outcome=outcome,
-        message=_message(
-            free, growing, slow, tests, findings, shapes, fitted, whiteness, outcome, spare, request.most,
-            _what_is_blind(shown, poles, residues, request, free) if blind else "",
-        ),
+        outcome=evidence.outcome,
+        message=_message(evidence, poles, covariance, shapes, request.most),
         intersample="zoh" if free.per_entry else free.intersample,
         delay=delay,
         delay_stderr=delay_stderr,
         method=free.method,
-        blind=blind,
+        blind=bool(blind),
     )  # fmt: skip
 
 
@@ -738,9 +719,9 @@ def _delays(fit: StructuredFit, free: FreeFit) -> tuple[Array, Array]:
 
 
 def _lateness(free: FreeFit, delay: Array, errors: Array) -> tuple[Finding, ...]:
-    """What is found of delays: one of all outputs, or of each."""
+    """What is found of delays that are left to the data: one of all outputs, or of each."""
     labels = free.channels[0].output_labels
-    if not delay.any():
+    if not (free.delay_open and delay.any()):
         return ()
     if np.ptp(delay) == 0:
         finding = Finding(Cause.DELAY, (float(delay[0]), float(errors[0])), free.delay_gain)
@@ -830,8 +811,8 @@ def _experiments(
     return tuple(experiments)
 
 
-def _losses(experiments: Sequence[FittedChannels], per_entry: bool) -> tuple[Array, Array]:
-    """Real residuals, and sums of their weighted squares in the same noise, of each output or entry."""
+def _variances(experiments: Sequence[FittedChannels], per_entry: bool) -> tuple[Array, Array]:
+    """Number of real residuals of each output or entry, and their mean square in the same noise: likeliest variances."""
     counts: Any = 0
     losses: Any = 0.0
     for data in experiments:
@@ -839,7 +820,8 @@ def _losses(experiments: Sequence[FittedChannels], per_entry: bool) -> tuple[Arr
         counts = counts + known.sum(axis=-1) * (1 + per_entry)
         for weights, _, residuals in pieces([(data.record, data.predicted)]):
             losses = losses + np.sum(weights * np.abs(residuals) ** 2, axis=-1) / data.noise_scale**2
-    return np.ravel(counts), np.ravel(losses)
+    divisor = np.maximum(np.ravel(counts), 1)
+    return np.ravel(counts), np.maximum(np.ravel(losses), np.finfo(float).tiny * divisor) / divisor
 
 
 def _residuals(experiment: FittedChannels) -> dict[str, Signal]:
@@ -979,22 +961,30 @@ def _motion_covariances(projection: FreeProjection, fit: StructuredFit, free: Fr
 
 
 def _squeezed(
-    data: FittedChannels, poles: ComplexArray, residues: ComplexArray, quantity: str, lossless: bool, errors: Array
-) -> FittedExperiment:
-    """Return an experiment of one input and one output without dimensions for these, with its initial state."""
-    record = single(data.record)
-    if isinstance(record, FrequencyRecord):
-        nothing = np.zeros(0), np.zeros(0, complex), 0.0
-        return FittedExperiment(record, *nothing, data.predicted[0, 0], background=data.background)
-    motion = data.free_amplitudes[:, 0]
-    r = weights_of(poles, residues[:, 0, 0], quantity) if lossless else None
-    state = state_of(poles, motion, quantity, r)
-    # among several experiments a free motion has an input of 0
-    record = replace(record, time=record.clock, driven=bool(record.u.any()))
-    return FittedExperiment(
-        record, state, motion, float(data.offsets[0]), data.predicted[0], float(data.drifts[0]),
-        initial_stderr=errors, offset_stderr=float(data.offset_stderr[0]), noise_scale=data.noise_scale,
-    )  # fmt: skip
+    experiments: Sequence[FittedChannels], measured: FreeProjection, fit: StructuredFit, free: FreeFit, rank: Indices,
+    quantity: str,
+) -> tuple[FittedExperiment, ...]:  # fmt: skip
+    """Experiments of one input and one output without dimensions for these, with their initial states."""
+    r = None
+    if fit.structure == "lossless" and fit.residues.shape[2] == 1 and bool(np.all(fit.p.imag > 0)):
+        r = weights_of(fit.p[rank], fit.residues[rank, 0, 0], quantity)
+    squeezed = []
+    errors = _state_errors(measured, fit, free, rank, quantity, r is not None)
+    for data, error in zip(experiments, errors, strict=True):
+        record = single(data.record)
+        if isinstance(record, FrequencyRecord):
+            nothing = np.zeros(0), np.zeros(0, complex), 0.0
+            squeezed.append(FittedExperiment(record, *nothing, data.predicted[0, 0], background=data.background))
+            continue
+        motion = data.free_amplitudes[:, 0]
+        # among several experiments a free motion has an input of 0
+        record = replace(record, time=record.clock, driven=bool(record.u.any()))
+        squeezed.append(FittedExperiment(
+            record, state_of(fit.p[rank], motion, quantity, r), motion, float(data.offsets[0]), data.predicted[0],
+            float(data.drifts[0]), initial_stderr=error, offset_stderr=float(data.offset_stderr[0]),
+            noise_scale=data.noise_scale,
+        ))  # fmt: skip
+    return tuple(squeezed)
 
 
 def _state_errors(
@@ -1078,23 +1068,51 @@ def _reversed(free: FreeFit, request: Request) -> list[Finding]:
     return findings
 
 
-def _rejection(test: HypothesisTest) -> Finding:
-    return Finding(REJECTED[test.hypothesis], (test.p, float(test.dof)), 0.5 * test.likelihood_ratio)
+def _rejections(tests: tuple[HypothesisTest, ...]) -> list[Finding]:
+    """What the data object to structures that they reject."""
+    return [
+        Finding(REJECTED[test.hypothesis], (test.p, float(test.dof)), 0.5 * test.likelihood_ratio)
+        for test in tests if test.hypothesis in REJECTED and test.p < LEVEL
+    ]  # fmt: skip
 
 
-def _outcome(free: FreeFit, fitted: float, whiteness: float, spare: int, far: bool, refused: bool) -> Outcome:
-    """Judge a fit; `far` says whether values or blind parameters cast doubt, `refused` whether its structure is."""
-    if free.interrupted:
-        return Outcome.INTERRUPTED
-    if not free.states:
-        return Outcome.NOTHING
-    if refused:
-        return Outcome.DOUBTFUL if fitted >= GOOD_FIT or whiteness >= WHITE else Outcome.NOT_DESCRIBED
-    if whiteness < WHITE:
-        return Outcome.COLOURED if fitted >= GOOD_FIT else Outcome.DOUBTFUL
-    if far:
-        return Outcome.DOUBTFUL
-    return Outcome.CONSISTENT if spare >= 20 or free.rounding else Outcome.UNJUDGED
+@dataclass(frozen=True)
+class _Evidence:
+    """What the judgement of a fit rests on.
+
+    `fitted` is in per cent, `whiteness` the p-value of white residuals, `spare` the number of samples beyond that of
+    the unknowns; `refused` says whether the data reject the structure that was given, and `blind` what the inputs do
+    not show.
+    """
+
+    free: FreeFit
+    tests: tuple[HypothesisTest, ...]
+    findings: tuple[Finding, ...]
+    fitted: float
+    whiteness: float
+    spare: int
+    refused: bool
+    blind: str
+
+    def shows(self, cause: Cause) -> bool:
+        """Whether there is a finding of a cause."""
+        return any(finding.cause is cause for finding in self.findings)
+
+    @property
+    def outcome(self) -> Outcome:
+        """The judgement; values far out of the noise and blind parameters cast doubt."""
+        if self.free.interrupted:
+            return Outcome.INTERRUPTED
+        if not self.free.states:
+            return Outcome.NOTHING
+        if self.refused:
+            near = self.fitted >= GOOD_FIT or self.whiteness >= WHITE
+            return Outcome.DOUBTFUL if near else Outcome.NOT_DESCRIBED
+        if self.whiteness < WHITE:
+            return Outcome.COLOURED if self.fitted >= GOOD_FIT else Outcome.DOUBTFUL
+        if self.blind or self.shows(Cause.OUTLIERS):
+            return Outcome.DOUBTFUL
+        return Outcome.CONSISTENT if self.spare >= 20 or self.free.rounding else Outcome.UNJUDGED
 
 
 def _what_is_blind(
@@ -1118,58 +1136,76 @@ def _what_is_blind(
     )
 
 
-def _message(
-    free: FreeFit, growing: Indices, slow: Indices, tests: tuple[HypothesisTest, ...], findings: tuple[Finding, ...],
-    shapes: ModeShapes, fitted: float, whiteness: float, outcome: Outcome, spare: int, most: int, blind: str,
-) -> str:  # fmt: skip
+def _message(evidence: _Evidence, poles: ComplexArray, covariance: Array, shapes: ModeShapes, most: int) -> str:
     """What the judgement rests on, in sentences."""
+    free, outcome = evidence.free, evidence.outcome
     if outcome is Outcome.NOTHING:
         return "Nothing to model: no mode improves the BIC."
     parts = [CUT_SHORT] * (outcome is Outcome.INTERRUPTED)
-    parts += [blind] * bool(blind)
+    parts += [evidence.blind] * bool(evidence.blind)
     if outcome is Outcome.NOT_DESCRIBED:
-        parts.append(f"With a fit of {fitted:.0f} % a model of this structure does not describe the data.")
-    elif outcome is Outcome.DOUBTFUL and not blind:
-        why = "the data reject the structure that was given"
-        if any(finding.cause is Cause.OUTLIERS for finding in findings):
-            why = "some values are far out of the noise"
-        if whiteness < WHITE and fitted < GOOD_FIT:
-            why = f"the fit is {fitted:.0f} %, less than {GOOD_FIT:.0f} %, and what is left is no white noise"
-        parts.append(f"Doubtful, as {why}.")
-        limited = free.order == most and all(finding.cause is not Cause.LARGEST_ORDER for finding in findings)
-        if fitted < GOOD_FIT and whiteness < WHITE and limited:
-            parts.append(f"A model of more than {counted(most, 'mode')} may fit better.")
-        if fitted < GOOD_FIT and whiteness < WHITE and not any(len(channel.input_labels) for channel in free.channels):
-            parts.append(
-                "This is no free decay if forces that were not measured, such as wind or traffic, act all along: "
-                "record a decay or the forces, or use a program for ambient excitation."
-            )
-    unit = free.channels[0].time_unit
-    parts += [sentence_of(finding, free.intersample, unit) for finding in findings]
-    kept = [test for test in tests if test.p >= LEVEL and test.dof]
+        parts.append(f"With a fit of {evidence.fitted:.0f} % a model of this structure does not describe the data.")
+    elif outcome is Outcome.DOUBTFUL and not evidence.blind:
+        parts += _doubts(evidence, most)
+    parts += [sentence_of(finding, free.intersample, free.channels[0].time_unit) for finding in evidence.findings]
+    kept = [f"{test.hypothesis} ({p_value(test.p)})" for test in evidence.tests if test.p >= LEVEL and test.dof]
     if kept:
-        parts.append("Not rejected: " + ", ".join(f"{test.hypothesis} ({p_value(test.p)})" for test in kept) + ".")
-    if len(growing):
-        grow = "grows" if len(growing) == 1 else "grow"
-        parts.append(f"{counted(len(growing), 'pole')} {grow}: {', '.join(map(str, growing + 1))}.")
-    if len(slow):
-        parts.append(slower_than_record(slow.tolist()))
+        parts.append(f"Not rejected: {', '.join(kept)}.")
+    parts += _about_poles(poles, covariance, free)
     if shapes.shapes.shape[1] > 1:
         parts.append(
             "Mode shapes are those of unit modal mass."
             if shapes.scaled.all()
             else "Mode shapes are unscaled, as no driving point was named: the largest entry is 1."
         )
-    if outcome is Outcome.UNJUDGED:
-        parts.append(f"There are only {counted(spare, 'sample')} more than unknowns, too few to judge the model.")
-    elif free.rounding and whiteness == 1:
-        parts.append("The data are reproduced to rounding.")
-    elif whiteness < WHITE:
+    return " ".join([*parts, _about_residuals(evidence)])
+
+
+def _doubts(evidence: _Evidence, most: int) -> list[str]:
+    """Why a fit is doubtful, and what may be done about it; `most` is the largest number of modes that was allowed."""
+    if not (evidence.whiteness < WHITE and evidence.fitted < GOOD_FIT):
+        outlying = evidence.shows(Cause.OUTLIERS)
+        why = "some values are far out of the noise" if outlying else "the data reject the structure that was given"
+        return [f"Doubtful, as {why}."]
+    sentences = [
+        f"Doubtful, as the fit is {evidence.fitted:.0f} %, less than {GOOD_FIT:.0f} %, and what is left is no white "
+        "noise."
+    ]
+    if evidence.free.order == most and not evidence.shows(Cause.LARGEST_ORDER):
+        sentences.append(f"A model of more than {counted(most, 'mode')} may fit better.")
+    if not any(len(channel.input_labels) for channel in evidence.free.channels):
+        sentences.append(
+            "This is no free decay if forces that were not measured, such as wind or traffic, act all along: "
+            "record a decay or the forces, or use a program for ambient excitation."
+        )
+    return sentences
+
+
+def _about_poles(poles: ComplexArray, covariance: Array, free: FreeFit) -> list[str]:
+    """Say which poles grow, and which modes are slower than the longest record."""
+    modes, sentences = int(np.sum(poles.imag != 0)), list[str]()
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    errors = np.append(spread[len(poles) :][:modes] * np.abs(poles[:modes]), spread[modes : len(poles)])
+    growing = np.flatnonzero(poles.real > _CERTAIN * errors)
+    if len(growing):
+        grow = "grows" if len(growing) == 1 else "grow"
+        sentences.append(f"{counted(len(growing), 'pole')} {grow}: {', '.join(map(str, growing + 1))}.")
+    lengths = (channel.dt * channel.samples for channel in free.channels if isinstance(channel, Recording))
+    slow = np.flatnonzero(np.abs(poles[:modes]) * max(lengths, default=np.inf) < 2 * np.pi * (1 - 1e-6))
+    if len(slow):
+        sentences.append(slower_than_record(slow.tolist()))
+    return sentences
+
+
+def _about_residuals(evidence: _Evidence) -> str:
+    """Say whether what is left is white, or why this cannot be told."""
+    if evidence.outcome is Outcome.UNJUDGED:
+        return f"There are only {counted(evidence.spare, 'sample')} more than unknowns, too few to judge the model."
+    if evidence.free.rounding and evidence.whiteness == 1:
+        return "The data are reproduced to rounding."
+    if evidence.whiteness < WHITE:
         remark = "something is left unexplained"
-        if free.measured is not None:
+        if evidence.free.measured is not None:
             remark = "errors and tests are those of noise with their spectrum"
-        parts.append(f"The residuals are not white (Ljung-Box {p_value(whiteness)}): {remark}.")
-    else:
-        more = ": the model explains the data" * (outcome is not Outcome.DOUBTFUL)
-        parts.append(f"The residuals are white{more}.")
-    return " ".join(parts)
+        return f"The residuals are not white (Ljung-Box {p_value(evidence.whiteness)}): {remark}."
+    return f"The residuals are white{': the model explains the data' * (evidence.outcome is not Outcome.DOUBTFUL)}."

@@ -296,21 +296,42 @@ def free_fit(
     most = min(max_order, path.carried) if automatic else int(order)
     if automatic and criterion == "holdout":
         most, automatic = foretelling_order(channels, begin, most, path_for), False
-    fit = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
-    seen = fit.per_entry and not fit.interrupted and path.best is not None
-    if seen and weighted and start is None and not path.is_white(path.best):  # type: ignore[arg-type]
-        fit = _from_peaks(fit, path_for, begin, most, automatic)
+    search = _Search(path_for, begin, most, automatic, None if intersample == "auto" else intersample)
+    fit = search.along(path, channels)
+    if weighted and start is None:
+        fit = _from_peaks(fit, path, search)
     if automatic and real_poles in ("auto", 0) and not fit.interrupted:
         fit = _of_few_lines(fit, path.of_few_lines(), min(max_order, path.carried))
-    fit = fit.with_delay_open(delay is None)
+    return _beside_all_else(fit.with_delay_open(delay is None), search, weighted, offset == "auto")
+
+
+@dataclass(frozen=True)
+class _Search:
+    """A search along the paths of any data: from some poles, up to a number of modes, all of them if not `automatic`.
+
+    `held` is how inputs are held between samples; where it is None the data tell.
+    """
+
+    path_for: Callable[..., FreePath]
+    begin: ComplexArray
+    most: int
+    automatic: bool
+    held: str | None
+
+    def along(self, path: FreePath, channels: Experiments, begin: ComplexArray | None = None) -> FreeFit:
+        """The fit at the end of a path, which may begin with other poles."""
+        begin = self.begin if begin is None else begin
+        return path.fit(begin, self.most, self.automatic, channels, either_hold=self.held is None)
+
+
+def _beside_all_else(fit: FreeFit, search: _Search, weighted: bool, drifting: bool) -> FreeFit:
+    """The fit with what its data show beside modes: noise that grows with gains of responses, or drifts and delays."""
     if fit.interrupted or fit.rounding or (fit.per_entry and weighted) or not (fit.states or fit.noise):
         return fit
     try:
         if fit.per_entry:
-            return _in_noise_of_the_gain(fit, path_for, most, automatic)
-        search = partial(FreePath.fit, start=begin, most=most, automatic=automatic, channels=channels)
-        anew = _searches_anew(fit, path_for, search, None if intersample == "auto" else intersample)
-        return _beside_drifts_and_delays(fit, anew, offset == "auto")
+            return _in_noise_of_the_gain(fit, search)
+        return _beside_drifts_and_delays(fit, _searches_anew(fit, search), drifting)
     except KeyboardInterrupt:
         return replace(fit, interrupted=True)
 
@@ -325,18 +346,18 @@ def _of_responses(
     return _without_errors(among(responses, start=start), responses, among)
 
 
-def _searches_anew(fit: FreeFit, path_for: Callable[..., FreePath], search: partial[FreeFit], held: str | None) -> Anew:
+def _searches_anew(fit: FreeFit, search: _Search) -> Anew:
     """Searches, or refinements from poles, in the noise of a fit with other delays and offsets."""
 
     def anew(late: Array, terms: int, start: ComplexArray | None) -> FreeFit:
-        path = path_for(fit.channels, terms, held or fit.intersample, late)
+        path = search.path_for(fit.channels, terms, search.held or fit.intersample, late)
         path.whiten(fit.noise, path.power)
         if start is None:
-            again = search(path, either_hold=held is None)
+            again = search.along(path, fit.channels)
         else:
             model = path.model(start)
             model = path.in_its_noise(model) if fit.noise else model
-            again = path.finished(model, fit.channels, search.keywords["automatic"])
+            again = path.finished(model, fit.channels, search.automatic)
         if again.interrupted:
             raise KeyboardInterrupt
         return again.with_delay_open(fit.delay_open)
@@ -344,11 +365,11 @@ def _searches_anew(fit: FreeFit, path_for: Callable[..., FreePath], search: part
     return anew
 
 
-def _in_noise_of_the_gain(fit: FreeFit, path_for: Callable[..., FreePath], most: int, automatic: bool) -> FreeFit:
+def _in_noise_of_the_gain(fit: FreeFit, search: _Search) -> FreeFit:
     """The fit of responses with the weights of the law of noise that each entry shows."""
 
     def weighted_path(channels: Experiments) -> FreePath:
-        path = path_for(channels)
+        path = search.path_for(channels)
         path.add_terms([rows for rows in fit.projection.experiments if isinstance(rows, FreeResponse)])
         return path
 
@@ -361,9 +382,9 @@ def _in_noise_of_the_gain(fit: FreeFit, path_for: Callable[..., FreePath], most:
     def again(channels: Experiments, p: ComplexArray, known: bool) -> FreeFit:
         path = weighted_path(channels)
         model = path.model(p)
-        if automatic and not known:
-            model = path.chosen(path.cleaned(model).p, most, automatic)
-        return path.finished(model, channels, automatic)
+        if search.automatic and not known:
+            model = path.chosen(path.cleaned(model).p, search.most, True)
+        return path.finished(model, channels, search.automatic)
 
     return _reweighted(fit, refined, again)
 
@@ -381,19 +402,19 @@ def _with_or_without(
     return _leaving_out(calm, wild)
 
 
-def _from_peaks(
-    fit: FreeFit, path_for: Callable[..., FreePath], begin: ComplexArray, most: int, automatic: bool
-) -> FreeFit:
+def _from_peaks(fit: FreeFit, path: FreePath, search: _Search) -> FreeFit:
     """The fit from the poles that responses show where all lines weigh the same, if that is likelier.
 
     Weighted by its gain, a response is equally large everywhere: its resonances do not stand out in a search for poles.
     """
     channels: Any = fit.channels
+    if not fit.per_entry or fit.interrupted or path.best is None or path.is_white(path.best):
+        return fit
     if all(np.ptp(channel.weights[channel.observed]) == 0 for channel in channels):
         return fit
     alike = [replace(channel, weights=np.where(channel.observed, 1.0, channel.weights)) for channel in channels]
-    p = path_for(alike).fit(begin, most, automatic, alike, either_hold=False).projection.p
-    other = path_for(channels).fit(p, most, automatic, channels, either_hold=False)
+    p = search.along(search.path_for(alike), alike).projection.p
+    other = search.along(search.path_for(channels), channels, p)
     return other if other.criteria.bic < fit.criteria.bic else fit
 
 
@@ -711,7 +732,6 @@ def likely_delays(fit: FreeFit) -> list[Array]:
     """
     if not fit.projection.inputs or not fit.order or isinstance(fit.channels[0], ResponseMatrix):
         return []
-    p = fit.projection.p
     some = [cut(recording, slice(0, min(recording.samples, _DELAYS_FROM))) for recording in fit.channels]
     step, count = some[0].dt, len(fit.scales)
     records = [
@@ -719,24 +739,15 @@ def likely_delays(fit: FreeFit) -> list[Array]:
         for record in _records(some, fit.intersample, fit.offset, True, fit.method)
     ]
 
-    def late(samples: int, p: ComplexArray = p) -> FreeProjection:
+    def late(samples: int, p: ComplexArray = fit.projection.p) -> FreeProjection:
         return FreeProjection([record.delayed(samples * step) for record in records], p)
-
-    def bic(projection: FreeProjection) -> float:
-        rows = projection.rows
-        return float(rows * np.log(projection.loss / rows) + projection.unknowns * np.log(rows)) / rows
 
     def of_all(samples: list[int]) -> list[Array]:
         return [np.full(count, step * lag) for lag in samples]
 
-    light = p[-p.real < _MIMICS * np.abs(p)]
-    if 0 < len(light) < len(p):
-        values = {delay: bic(late(delay, light)) for delay in TUNING.delays}
-        best = min(values, key=lambda delay: values[delay])
-        if best and values[best] < bic(late(0)):
-            # a sample may be fed through
-            near = ({best - 1, best, best + 1} & set(TUNING.delays)) - {0}
-            return of_all(sorted(near, key=lambda delay: values[delay]))
+    mimicked = _mimicked_delays(late, fit.projection.p)
+    if mimicked:
+        return of_all(mimicked)
     if not _leaves_traces(late(0)):
         return []
     gains, each = {}, {}
@@ -756,6 +767,25 @@ def likely_delays(fit: FreeFit) -> list[Array]:
     tried = np.array(list(each))
     own = tried[np.argmin(np.stack([each[delay] for delay in tried.tolist()]), axis=0)]
     return [*common_delays, step * own] if np.ptp(own) else common_delays
+
+
+def _mimicked_delays(late: Callable[[int, ComplexArray], FreeProjection], p: ComplexArray) -> list[int]:
+    """Samples of the delays that heavily damped modes stand for, the likeliest first; none if these are likelier."""
+
+    def bic(samples: int, p: ComplexArray) -> float:
+        projection = late(samples, p)
+        rows = projection.rows
+        return float(rows * np.log(projection.loss / rows) + projection.unknowns * np.log(rows)) / rows
+
+    light = p[-p.real < _MIMICS * np.abs(p)]
+    if 0 < len(light) < len(p):
+        values = {delay: bic(delay, light) for delay in TUNING.delays}
+        best = min(values, key=lambda delay: values[delay])
+        if best and values[best] < bic(0, p):
+            # a sample may be fed through
+            near = ({best - 1, best, best + 1} & set(TUNING.delays)) - {0}
+            return sorted(near, key=lambda delay: values[delay])
+    return []
 
 
 def _samples_late(fit: FreeFit) -> int:
@@ -1346,24 +1376,25 @@ class FreePath:
         p = np.append(model.p, pole)
         if self.search.unknowns_of(p) >= self.counts.sum() or self.is_exact(model):
             return None
-        now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(p)
-        modes, joint = self.candidates(model)[1].max(initial=0.0), self.search is not self.plain
-        if not given and (
-            gain < TUNING.nearly_as_strong * modes or not (joint or self._stands_out(model, gain, then - now))
-        ):
+        if not given and gain < TUNING.nearly_as_strong * self.candidates(model)[1].max(initial=0.0):
+            return None
+        joint, unknowns = self.search is not self.plain, self.search.unknowns_of(p) - self.search.unknowns_of(model.p)
+        if not (given or joint or self._stands_out(model, gain, unknowns)):
             return None
         more = self.reweighted(self.model(p))
-        if _modes(more.p) > most or (given and _real(more.p) <= _real(model.p)):
+        if _modes(more.p) > most:
             return None
-        if given:
-            return more
-        # a pole at the border stands for what is fed through
-        fast = np.any(more.p[more.p.imag == 0].real < -_FASTEST * self.search.region.ceiling)
-        if joint:
-            return None if fast else more
+        return more if (_real(more.p) > _real(model.p) if given else self._prefers_lag(more, model)) else None
+
+    def _prefers_lag(self, more: FreeModel, model: FreeModel) -> bool:
+        """Whether the criterion prefers one more lag, unless it is at the border and stands for what is fed through."""
+        if np.any(more.p[more.p.imag == 0].real < -_FASTEST * self.search.region.ceiling):
+            return False
+        if self.search is not self.plain:
+            return True
         before, after = (float(np.sum(candidate.losses * self.sizes**2)) for candidate in (model, more))
-        shown = self._stands_out(model, before - after, self.search.unknowns_of(more.p) - now)
-        return more if shown and not fast and self.gain(more, model) > 2 * TUNING.sure else None
+        unknowns = self.search.unknowns_of(more.p) - self.search.unknowns_of(model.p)
+        return self._stands_out(model, before - after, unknowns) and self.gain(more, model) > 2 * TUNING.sure
 
     def with_modes(self, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
         """One more mode, or several, that do not only mend the shape of others; if need be, and order, what does."""

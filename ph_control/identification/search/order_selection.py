@@ -277,22 +277,17 @@ def order_selection(
     samples = int(path.counts.sum())
     stable = _stable([np.abs(row.poles) for row in rows], path.search.region.bin)
     chosen = [rows[k] for k in kept]
-    ahead, losses = 0, None
+
+    def searched(path: FreePath) -> None:
+        path.check(wanted[-1])
+        path.through_orders(start, wanted[-1])
+
+    reached = [row.order for row in chosen]
+    losses, held_out = None, 0
     if part:
-
-        def searched(path: FreePath) -> None:
-            path.check(wanted[-1])
-            path.through_orders(start, wanted[-1])
-
-        errors = errors_ahead(channels, path_for, part, searched, [row.order for row in chosen])
-        ahead = int(max(counts.sum() for _, counts in errors.values()))
-        if not ahead:
-            raise IdentificationError("there are no observed outputs in what is held out; hold out more")
-        losses = np.array([
-            float(errors[row.order][0].sum()) / ahead if row.order in errors else np.inf for row in chosen
-        ])  # fmt: skip
+        losses, held_out = _losses_ahead(errors_ahead(channels, path_for, part, searched, reached), reached)
     return OrderSelection(
-        orders=np.array([row.order for row in chosen]),
+        orders=np.array(reached),
         loss=np.array([float(np.exp(-2 * row.loglik / samples - 1) / (2 * np.pi)) for row in chosen]),
         aic=np.array([row.aic for row in chosen]),
         aicc=np.array([row.aicc for row in chosen]),
@@ -301,9 +296,18 @@ def order_selection(
         frequencies=tuple(np.abs(row.poles) for row in chosen),
         stable=tuple(stable[k] for k in kept),
         samples=samples,
-        held_out=ahead,
+        held_out=held_out,
         time_unit=common_unit(list(channels)),
     )
+
+
+def _losses_ahead(errors: dict[int, tuple[Array, Array]], orders: Sequence[int]) -> tuple[Array, int]:
+    """Mean squared error of each order over what was held out, infinite where it has none, and the samples of this."""
+    samples = int(max(counts.sum() for _, counts in errors.values()))
+    if not samples:
+        raise IdentificationError("there are no observed outputs in what is held out; hold out more")
+    losses = [float(errors[order][0].sum()) / samples if order in errors else np.inf for order in orders]
+    return np.array(losses), samples
 
 
 def _wanted(orders: Any, path: FreePath) -> list[int]:

@@ -314,13 +314,11 @@ def _projected(ports: _Ports, centre: Array, C: Array, theta: Array, most: float
     best: _Held | None = None
     forces = np.zeros(0)
     steady = -_decay(C, n, theta)
-    stability = -np.eye(n, len(theta), n)
     for turn in range(_ROUNDS):
         stable = bool(np.all(theta[n : 2 * n] < 0))
         new = ports.violated(theta) if stable else []
-        equal = [ports.linear(theta, constraint) for constraint in ports.symmetry(theta)]
         if stable and not new:
-            if now is None and not equal:
+            if now is None and not ports.symmetry(theta):
                 return _Held(theta, 0.0, none, none, C)
             if now is not None:
                 moved = np.inf if best is None else abs(now.distance - best.distance)
@@ -332,25 +330,36 @@ def _projected(ports: _Ports, centre: Array, C: Array, theta: Array, most: float
                 if moved < _SETTLED * (1 + best.distance):
                     break
         known = known + new
-        above = [ports.linear(theta, ports.constraint(theta, w, np.outer(v, v.conj()))) for w, v in known]
-        both = [*equal, *above, *zip(steady - theta[n : 2 * n], stability, strict=True)]
-        values, A = np.array([value for value, _ in both]), np.array([gradient for _, gradient in both])
-        inside = np.repeat([0.0, _INSIDE, 0.0], [len(equal), len(above), n])
+        values, A, equal = _constraints(ports, theta, known, steady)
+        inside = np.repeat([0.0, _INSIDE, 0.0], [equal, len(known), n])
         with np.errstate(all="ignore"):
             size = np.sqrt(np.einsum("ij,ij->i", A @ C, A))
             A = A / np.where(size > 0, size, 1.0)[:, None]
             M, h = A @ C @ A.T, inside - values / np.where(size > 0, size, 1.0) + A @ (theta - centre)
         if not (np.isfinite(M).all() and np.isfinite(h).all()):
             break  # modes that the data do not show
-        solved = least_distance(M, h, len(equal))
+        solved = least_distance(M, h, equal)
         if solved is None:
             break
         theta = centre + C @ (A.T @ solved)
-        forces = solved[len(equal) : len(solved) - n] / size[len(equal) : len(solved) - n]
+        forces = solved[equal : len(solved) - n] / size[equal : len(solved) - n]
         now = _Held(theta, float(solved @ M @ solved), A[solved != 0], none, C)
         if turn < _NEAR and now.distance > most:
             break  # where constraints are nearly linear, those that are added only take more
     return best
+
+
+def _constraints(
+    ports: _Ports, theta: Array, known: list[tuple[float, ComplexArray]], steady: Array
+) -> tuple[Array, Array, int]:
+    """Values and gradients of constraints: equations first, then passivity, stability; and the number of equations."""
+    n = ports.n
+    equal = [ports.linear(theta, constraint) for constraint in ports.symmetry(theta)]
+    above = [ports.linear(theta, ports.constraint(theta, w, np.outer(v, v.conj()))) for w, v in known]
+    values, gradients = zip(
+        *equal, *above, *zip(steady - theta[n : 2 * n], -np.eye(n, len(theta), n), strict=True), strict=True
+    )
+    return np.array(values), np.array(gradients), len(equal)
 
 
 @dataclass(frozen=True)

@@ -352,15 +352,12 @@ def compare(
     names = names_of(models, labels)
     experiments = []
     for record, answers in zip(records, answers_to(models, names, records, rules), strict=True):
-        outputs = [[(record, answer.output)] for answer in answers]
         experiments.append(
             ComparedExperiment(
                 record,
-                np.array([answer.output for answer in answers]),
-                np.array([fit_to(output) for output in outputs]),
-                np.array([fits_of_outputs(output) for output in outputs]),
-                np.array([rms_of(output) for output in outputs]),
-                tuple(answer.own for answer in answers),
+                predicted=np.array([answer.output for answer in answers]),
+                own_record=tuple(answer.own for answer in answers),
+                **_measures([[(record, answer.output)] for answer in answers]),
             )
         )
     together = [
@@ -368,14 +365,21 @@ def compare(
     ]
     return Comparison(
         labels=names,
-        fit_percent=np.array([fit_to(pairs) for pairs in together]),
-        output_fit_percent=np.array([fits_of_outputs(pairs) for pairs in together]),
-        rms_error=np.array([rms_of(pairs) for pairs in together]),
+        **_measures(together),
         own_record=tuple(any(own) for own in zip(*(experiment.own_record for experiment in experiments), strict=True)),
         experiments=tuple(experiments),
         initial_state=initial_state,
         output_labels=records[0].output_labels,
     )
+
+
+def _measures(answers: Sequence[Any]) -> dict[str, Array]:
+    """Fit of each model, and of its outputs, with the errors of these, from what it answers to each experiment."""
+    return {
+        "fit_percent": np.array([fit_to(pairs) for pairs in answers]),
+        "output_fit_percent": np.array([fits_of_outputs(pairs) for pairs in answers]),
+        "rms_error": np.array([rms_of(pairs) for pairs in answers]),
+    }
 
 
 def _described(records: Sequence[Kind], initial_state: str) -> str:
