@@ -272,14 +272,10 @@ def percent(y: Array, predicted: Array) -> float:
 
 def foretold(result: Any, u: Array, y: Array) -> Array:
     """Outputs of a fit on other data, of which the beginning tells the motion at the first sample."""
-    poles, residues = result.poles, result.residues
-    delays = next((one.values for one in result.findings if one.cause.name == "DELAY"), (0.0,))
-    late = np.zeros_like(u)
-    for k, one in enumerate(u):
-        late[k] = one[np.clip(np.arange(len(one)) - int(delays[k % len(delays)]), 0, len(one) - 1)]
-    forced = held(poles, residues, late, 1.0, result.intersample == "foh") + result.feedthrough @ late
-    forced += np.reshape(result.offsets, (-1, len(y)))[0][:, None]
-    return forced + beginning(np.exp(np.outer(poles, np.arange(u.shape[1]))), y - forced)
+    inputs = u[0] if len(u) == len(y) == 1 else u
+    forced = np.reshape(result.predict(inputs, initial_state="zero", dt=1.0).outputs, y.shape)
+    forced = forced + np.reshape(result.offsets, (-1, len(y)))[0][:, None]
+    return forced + beginning(np.exp(np.outer(result.poles, np.arange(u.shape[1]))), y - forced)
 
 
 def beginning(motions: ComplexArray, rest: Array) -> Array:

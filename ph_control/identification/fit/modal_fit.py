@@ -812,7 +812,7 @@ def _experiments(
 
 
 def _variances(experiments: Sequence[FittedChannels], per_entry: bool) -> tuple[Array, Array]:
-    """Number of real residuals of each output or entry, and their mean square in the same noise: likeliest variances."""
+    """Number of real residuals of each output or entry, and the mean square of these, in the same noise."""
     counts: Any = 0
     losses: Any = 0.0
     for data in experiments:

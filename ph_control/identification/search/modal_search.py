@@ -331,7 +331,7 @@ def _beside_all_else(fit: FreeFit, search: _Search, weighted: bool, drifting: bo
     try:
         if fit.per_entry:
             return _in_noise_of_the_gain(fit, search)
-        return _beside_drifts_and_delays(fit, _searches_anew(fit, search), drifting)
+        return _beside_drifts_and_delays(fit, _searches_anew(fit, search, drifting), drifting)
     except KeyboardInterrupt:
         return replace(fit, interrupted=True)
 
@@ -346,10 +346,14 @@ def _of_responses(
     return _without_errors(among(responses, start=start), responses, among)
 
 
-def _searches_anew(fit: FreeFit, search: _Search) -> Anew:
-    """Searches, or refinements from poles, in the noise of a fit with other delays and offsets."""
+def _searches_anew(fit: FreeFit, search: _Search, drifting: bool) -> Anew:
+    """Searches, or refinements from poles, in the noise of a fit with other delays and offsets.
+
+    Where outputs may be `drifting`, a search asks anew whether they have a constant.
+    """
 
     def anew(late: Array, terms: int, start: ComplexArray | None) -> FreeFit:
+        terms = max(terms, int(drifting and start is None))
         path = search.path_for(fit.channels, terms, search.held or fit.intersample, late)
         path.whiten(fit.noise, path.power)
         if start is None:
@@ -1620,7 +1624,8 @@ class FreePath:
             fed = self.felt | self.stands_out(projection)
             if not fed.all():
                 projection, losses = self.settled(projection.p, fed, interrupted)
-        if self.constant_open and not interrupted:
+        # noise of slow colour hides a constant that is still the level of the output
+        if self.constant_open and not (interrupted or model.innovations):
             projection, losses = self.without_needless_constants(projection, losses, fed)
         projection, losses = self.on_simplest_background(projection, losses, fed, interrupted)
         rank = np.argsort(projection.d)
