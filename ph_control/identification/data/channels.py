@@ -74,18 +74,23 @@ class Recording(InTime):
         return 1.0
 
     @property
+    def hum(self) -> Array | float:
+        """What was subtracted from the outputs before that, shape (p, T)."""
+        return 0.0
+
+    @property
     def original(self) -> Recording:
-        """The recording before that."""
+        """The recording as it was measured."""
         return self
 
-    def in_unit(self, unit: float) -> Recording:
-        """The same with inputs and outputs divided by a number, so that their noise is that of other experiments."""
-        if unit == 1:
+    def adjusted(self, unit: float | None = None, hum: Array | float | None = None) -> Recording:
+        """The same with another hum subtracted from the outputs, and with inputs and outputs divided by a number."""
+        unit, hum = self.unit if unit is None else unit, self.hum if hum is None else hum
+        if unit == 1 and not np.any(hum):
             return self.original
         given = {part.name: getattr(self.original, part.name) for part in fields(Recording)}
-        return DividedRecording(
-            **given | {"u": given["u"] / unit, "y": given["y"] / unit}, whole=self.original, by=unit
-        )
+        given |= {"u": given["u"] / unit, "y": (given["y"] - hum) / unit}
+        return AdjustedRecording(**given, whole=self.original, divisor=unit, subtracted=hum)
 
     def __repr__(self) -> str:
         return f"<Recording: {self.samples} samples, step {self.dt:.6g}, {_shape(self)}>"
@@ -114,20 +119,26 @@ class Recording(InTime):
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class DividedRecording(Recording):
-    """A `whole` recording whose inputs and outputs are divided by a number."""
+class AdjustedRecording(Recording):
+    """A `whole` recording without a hum of its outputs, and in another unit."""
 
     whole: Recording
-    by: float
+    divisor: float
+    subtracted: Array | float
 
     @property
     def unit(self) -> float:
         """What inputs and outputs were divided by."""
-        return self.by
+        return self.divisor
+
+    @property
+    def hum(self) -> Array | float:
+        """What was subtracted from the outputs before that, shape (p, T)."""
+        return self.subtracted
 
     @property
     def original(self) -> Recording:
-        """The recording before that."""
+        """The recording as it was measured."""
         return self.whole
 
 

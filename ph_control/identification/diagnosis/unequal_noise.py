@@ -75,4 +75,4 @@ def in_equal_noise(channels: Sequence[Any], fit: FreeFit) -> tuple[Recording, ..
         abs(u / channel.unit - 1) < _EQUAL for u, channel in zip(units, channels, strict=True)
     ):
         return None
-    return tuple(channel.in_unit(unit) for channel, unit in zip(channels, units.tolist(), strict=True))
+    return tuple(channel.adjusted(unit) for channel, unit in zip(channels, units.tolist(), strict=True))

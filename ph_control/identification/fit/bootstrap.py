@@ -16,6 +16,7 @@ from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
 from ..data.channels import Recording
 from ..data.experiments import as_channels
+from ..diagnosis.hum import Tones
 from ..diagnosis.unequal_noise import experiments_of
 from ..regression.free import FreeProjection, GivenResidues, refine_free
 from ..regression.free_prediction import FittedChannels
@@ -303,7 +304,8 @@ class _Refit:
         channels: Any = as_channels([experiment.record for experiment in result.experiments])
         if isinstance(channels[0], Recording):
             scales = [experiment.noise_scale for experiment in result.experiments]
-            channels = [channel.in_unit(scale) for channel, scale in zip(channels, scales, strict=True)]
+            quiet = Tones.of(result.findings, channels).taken_from(channels)
+            channels = [channel.adjusted(scale) for channel, scale in zip(quiet, scales, strict=True)]
         terms = int(np.isfinite(result.stderr["offset"]).any())
         terms += any(
             np.any(getattr(experiment, "drifts", getattr(experiment, "drift", 0.0)))

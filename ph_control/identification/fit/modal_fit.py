@@ -23,6 +23,7 @@ from ..data.quantities import checked_quantities
 from ..data.time_record import Record
 from ..diagnosis.coloured_noise import beside_coloured_noise, is_white
 from ..diagnosis.fitted_directions import FittedModel, directions_of
+from ..diagnosis.hum import Tones, tones_in, undriven
 from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.unequal_noise import in_equal_noise
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
@@ -147,6 +148,20 @@ def fit_channels(
     resting = options.moving and begin_at_rest(channels)
     search = search_in(channels)
     free, moving = _beside_motion(search, order, start, options.moving, resting)
+    hums: list[Finding] = []
+    while len(more := undriven(free)):
+        frequencies = np.append(Tones.of(hums, channels).frequencies, free.projection.p.imag[more])
+        tones = tones_in(free, frequencies)
+        for _ in range(_ROUNDS):
+            quiet = tones.taken_from(channels)
+            again, its_motion = _beside_motion(search_in(quiet), order, start, options.moving, resting)
+            if again.interrupted:
+                break
+            tones = tones_in(again, tones.frequencies)
+        saved = 0.5 * (free.criteria.bic - again.criteria.bic - tones.unknowns * float(np.log(free.projection.rows)))
+        if again.interrupted or saved <= 0:
+            break
+        channels, search, free, moving, hums = quiet, search_in(quiet), again, its_motion, tones.findings(saved)
     first, charge = free.criteria.bic, (len(channels) - 1) * float(np.log(free.projection.rows))
     for _ in range(_ROUNDS):
         alike = in_equal_noise(channels, free)
@@ -160,7 +175,7 @@ def fit_channels(
     if any(unit != 1 for unit in units):
         unequal = Finding(Cause.UNEQUAL_NOISE, units, 0.5 * (first - free.criteria.bic - charge))
         free = replace(free, findings=(*free.findings, unequal))
-    free = replace(free, findings=(*free.findings, *_about_order(free, order, options)))
+    free = replace(free, findings=(*hums, *free.findings, *_about_order(free, order, options)))
 
     def with_delay(delay: Array) -> FreeFit:
         return search(order, start=start, moving=moving, delay=delay)
@@ -796,10 +811,12 @@ def _experiments(
                 predicted = np.multiply(values, scale[:, None], out=values)
             else:
                 predicted[which] = values * scale[:, None]
+            if in_time:
+                predicted[which] += np.broadcast_to(channel.hum, predicted.shape)[which]
         if in_time:
             experiments.append(
                 FittedChannels(
-                    channel.in_unit(1.0), motion, offsets, drifts, predicted, offset_stderr=errors,
+                    channel.original, motion, offsets, drifts, predicted, offset_stderr=errors,
                     noise_scale=channel.unit,
                 )
             )  # fmt: skip

@@ -48,6 +48,7 @@ class Cause(Enum):
     SATURATION = "an output that stays at an end of its range"
     WILD_LINES = "lines of a response far out of all others"
     POLARITY = "a sensor that points against the force"
+    HUM = "tone that no input drives"
     UNEQUAL_NOISE = "noise that differs between experiments"
     HAMMER_NOISE = "noise of a hammer's force between its contacts"
     LARGEST_ORDER = "as many modes as the search may find"
@@ -261,6 +262,16 @@ def _of_coloured_residuals(finding: Finding, terms: _Terms) -> str:
     )
 
 
+def _of_hum(finding: Finding, terms: _Terms) -> str:
+    frequency, *parts = finding.values
+    largest = float(np.hypot(parts[::2], parts[1::2]).max())
+    return (
+        f"A tone of {terms.frequency(frequency):.6g} {terms.frequency_unit}{_experiment(finding, 'in')} that no input "
+        f"drives, with an amplitude of up to {largest:.3g} ({_gain(finding)}), is hum and no mode: it is part of the "
+        "predictions."
+    )
+
+
 def _of_unequal_noise(finding: Finding, terms: _Terms) -> str:
     quiet, loud = int(np.argmin(finding.values)) + 1, int(np.argmax(finding.values)) + 1
     return (
@@ -326,7 +337,7 @@ def _of_input_noise(finding: Finding, terms: _Terms) -> str:
 _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
     Cause.CONSTANT: _of_constant, Cause.DRIFT: _of_drift, Cause.HOLD: _of_hold, Cause.DELAY: _of_delay,
     Cause.POLARITY: _of_polarity, Cause.GAIN_NOISE: _of_gain_noise, Cause.COLOURED_RESIDUALS: _of_coloured_residuals,
-    Cause.UNEQUAL_NOISE: _of_unequal_noise,
+    Cause.HUM: _of_hum, Cause.UNEQUAL_NOISE: _of_unequal_noise,
     Cause.HAMMER_NOISE: _of_hammer_noise, Cause.SATURATION: _of_saturation, Cause.WILD_LINES: _of_wild_lines,
     Cause.LARGEST_ORDER: _of_largest_order, Cause.FEWER_MODES: _of_fewer_modes, Cause.OUTLIERS: _of_outliers,
     Cause.INPUT_NOISE: _of_input_noise, **dict.fromkeys(REJECTED.values(), _of_rejection),
