@@ -17,6 +17,7 @@ from .elimination import LinearProjection
 Progress = Callable[[int, float], None]  # iteration, loss
 
 _FLAT = 1e-9  # slope of the loss, relative to itself and to a step of its own size, at a minimum
+_SECANTS = 100  # steps along secants at most
 _STUCK = 1e16  # damping of steps of which none leads on
 
 Projection = TypeVar("Projection", bound=LinearProjection)
@@ -131,7 +132,7 @@ def _follow_secants(problem: Minimisation[Projection], state: Refinement[Project
         best = trial if trial.loss < best.loss else best
         return trial.loss / start.loss, 2 * unit * trial.gradient / start.loss
 
-    outcome = minimize(relative, np.zeros(len(unit)), jac=True, method="BFGS", options={"gtol": _FLAT})
+    outcome = minimize(relative, np.zeros(len(unit)), jac=True, method="BFGS", options={"gtol": _FLAT, "maxiter": _SECANTS})
     state.projection, state.iterations = best, state.iterations + int(outcome.nit)
     # where the loss rounds, steps end before the slope does
     slope = np.max(np.abs(unit * best.gradient)) / best.loss
