@@ -61,6 +61,7 @@ _SCANS = 3  # searches with the delays that the last one says
 _LONGEST_DELAY = 24  # samples
 _LAGS = 4  # of different rates, with which delays are looked for
 _AGREED = 0.1  # of the criterion: less is gained where a model and its noise agree
+_NO_NOISE = 1.0  # by which the logarithm of the variance falls where what was left is no noise, of any law
 _LASTING = 0.05  # of a record: the part in which an input has to act
 
 
@@ -110,6 +111,8 @@ class FreeFit(Frozen):
         Whether the delay is left to the data.
     noise : tuple of ndarray
         Innovations filter of the noise of each output, with which these rows were made; none where the noise is white.
+    crowded : bool
+        Whether modes of responses overlap so much that they were found all at once, by a common denominator.
     """
 
     projection: FreeProjection
@@ -128,6 +131,7 @@ class FreeFit(Frozen):
     delay_gain: float = 0.0
     delay_open: bool = False
     noise: tuple[Array, ...] = ()
+    crowded: bool = False
 
     @property
     def per_entry(self) -> bool:
@@ -297,13 +301,14 @@ def free_fit(
     if automatic and criterion == "holdout":
         most, automatic = foretelling_order(channels, begin, most, path_for), False
     fit = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
-    seen = fit.per_entry and not fit.interrupted and path.best is not None
+    seen = fit.per_entry and not (fit.interrupted or fit.crowded) and path.best is not None
     if seen and weighted and start is None and not path.is_white(path.best):  # type: ignore[arg-type]
         fit = _from_peaks(fit, path_for, begin, most, automatic)
     if automatic and real_poles in ("auto", 0) and not fit.interrupted:
         fit = _of_few_lines(fit, path.of_few_lines(), min(max_order, path.carried))
     fit = fit.with_delay_open(delay is None)
-    if fit.interrupted or fit.rounding or (fit.per_entry and weighted) or not (fit.states or fit.noise):
+    # what crowded modes leave is no noise whose law could be told
+    if fit.interrupted or fit.rounding or fit.crowded or (fit.per_entry and weighted) or not (fit.states or fit.noise):
         return fit
     try:
         if fit.per_entry:
@@ -974,6 +979,7 @@ class FreePath:
         self.best = best  # so far
         self.seen: list[tuple[float, ComplexArray]] = []  # all so far: costs and poles
         self._shown: tuple[FreeModel, tuple[ComplexArray, Array]] | None = None
+        self.separate = False  # whether a common denominator does not explain more than one mode after the other
         largest = np.zeros(len(felt))
         for rows in search.data:
             largest[rows.outputs] = np.maximum(largest[rows.outputs], rows.largest)
@@ -1230,6 +1236,8 @@ class FreePath:
         """Poles that stand out of what is left, the strongest first."""
         if self._shown is not None and self._shown[0] is model:
             return self._shown[1]
+        if self.crowded:  # none stands out by itself
+            return np.zeros(0, complex), np.zeros(0)
         p, gains = self.scaled.candidates(model)
         now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(np.append(model.p, 1j))
         if isinstance(self.search, Responses) and self.search.classical:
@@ -1330,9 +1338,49 @@ class FreePath:
         """One more mode, or several, or one more real pole: what the criterion prefers."""
         more = self.with_modes(model, most, automatic) if _modes(model.p) < most else None
         lag = self.with_lag(model, most)
-        if lag is None or more is None:
-            return more or lag
-        return lag if self.cost(lag) <= self.cost(more) else more
+        if lag is not None and more is not None:
+            return lag if self.cost(lag) <= self.cost(more) else more
+        if more is None and automatic and self.candidates(model)[1].any():
+            # what stands out only mends the shape of others: so it is where modes overlap
+            more = self.of_common_denominator(lag or model, most)
+        return more or lag
+
+    @property
+    def crowded(self) -> bool:
+        """Whether poles are those of a common denominator, of modes that overlap."""
+        return isinstance(self.search, Responses) and self.search.crowded
+
+    def of_common_denominator(self, model: FreeModel, most: int) -> FreeModel | None:
+        """Modes that overlap found all at once, as many as the criterion wants, if they explain much more than a model.
+
+        From there on modes may mend the shape of others, if any do.
+        """
+        if self.separate or self.real_poles != "auto" or not isinstance(self.search, Responses) or not (
+            self.search.is_dense and self.search.kinds_may_change
+        ):  # fmt: skip
+            return None
+        plain, self.separate = self.search, True
+        self.search = replace(self.search, crowded=True)
+        self.weigh(model.losses)
+        best, missed, count = model, 0, _modes(model.p)
+        while missed < TUNING.patience and count < most:
+            count = min(most, count * 5 // 4 + 1)
+            p = self.scaled.of_common_denominator(count)
+            if self.search.unknowns_of(p) >= self.counts.sum():
+                break
+            more = self.judged(FreeProjection(self.scaled.data, p))
+            best, missed = (more, 0) if self.cost(more) < self.cost(best) else (best, missed + 1)
+        if best is not model:
+            best = self.pruned(self.reweighted(self.model(best.p)))
+        crowded, self.search = self.search, plain
+        self.weigh(best.losses)
+        apart = self.cleaned(self.model(best.p))
+        if self.cost(best) < min(self.cost(apart), self.cost(model)) - _NO_NOISE * self.counts.sum():
+            self.search = crowded
+            self.weigh(best.losses)
+            return best
+        self.weigh(model.losses)
+        return self.reweighted(apart) if self.cost(apart) < self.cost(model) else None
 
     def with_lag(self, model: FreeModel, most: int) -> FreeModel | None:
         """One more real pole, if the criterion prefers it; two may become a mode where there are not `most` yet."""
@@ -1343,7 +1391,7 @@ class FreePath:
             return None
         pole, gain = self.scaled.lag(model.projection)
         p = np.append(model.p, pole)
-        if self.search.unknowns_of(p) >= self.counts.sum() or self.is_exact(model):
+        if self.search.unknowns_of(p) >= self.counts.sum() or self.is_exact(model) or self.crowded:
             return None
         now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(p)
         modes, joint = self.candidates(model)[1].max(initial=0.0), self.search is not self.plain
@@ -1492,7 +1540,7 @@ class FreePath:
     def vagueness(self, model: FreeModel) -> Array:
         """Errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background."""
         allowed = TUNING.vague * np.maximum(np.abs(model.projection.sigma), self.search.region.bin)
-        lag = (model.p.imag == 0) | (_broad(model.p) & self.search.kinds_may_change)
+        lag = (model.p.imag == 0) | (_broad(model.p) & self.search.kinds_may_change) | self.crowded
         return np.where(lag, 0.0, self.decay_errors(model.projection) / allowed)
 
     def pruned(self, model: FreeModel) -> FreeModel:
@@ -1601,6 +1649,7 @@ class FreePath:
         return FreeFit(
             projection, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding,
             interrupted, measured=measured, noise=model.innovations, delay=self.delay,
+            crowded=self.crowded,
         )  # fmt: skip
 
     def without_needless_constants(
@@ -1628,6 +1677,8 @@ class FreePath:
     def beside_further_terms(self, most: int, automatic: bool) -> FreePath | None:
         """The search among responses on a background of further terms, where these explain more than real poles do."""
         if self.best is None or not isinstance(self.search, Responses) or not self.search.shows_background(0):
+            return None
+        if self.search.crowded:
             return None
         # of what is no background itself
         modes = self.best.p[(self.best.p.imag > 0) & ~_broad(self.best.p)]
