@@ -119,8 +119,8 @@ class Sections:
 class PoleRegion:
     """Where poles are looked for; `bin` is the distance in frequency within which the loss has one minimum.
 
-    No pole is beyond the `ceiling`, and none grows by more than `growth` bins, a factor over the record.  Where the kinds of sections
-    may not change, those with complex poles are the `oscillating` ones (k,).
+    No pole is beyond the `ceiling`, and none grows faster than `growth` bins, by a factor over the record.  Where the
+    kinds of sections may not change, those with complex poles are the `oscillating` ones (k,).
     """
 
     bin: float

@@ -546,13 +546,14 @@ class Responses(FreeSearch):
         return not self.classical and sum(rows.samples * len(rows.outputs) for rows in self.data) <= _ALL_AT_ONCE
 
     def of_common_denominator(self, count: int) -> ComplexArray:
-        """Poles of so many modes, some of which may become two real ones, that explain all entries best together.
+        """Poles of so many modes, some of which may be real ones, that explain all entries best together.
 
         Vector fitting of Gustavsen and Semlyen: poles all over the band move to the zeros of a common denominator.
         Entries are eliminated one by one as Deschrijver and others do.
         """
         region = self.region
-        p = np.linspace(region.bin, max(rows.ceiling for rows in self.data), count) * (1j - _CROWDED)
+        places = np.linspace(region.bin, max(rows.ceiling for rows in self.data), count)
+        p = np.asarray(places * (1j - _CROWDED), complex)
         for _ in range(_RELOCATIONS):
             kept = np.append(np.ones(len(p), bool), p.imag > 0)  # a real pole has no imaginary part of a residue
             factors = []
@@ -570,9 +571,9 @@ class Responses(FreeSearch):
             A[: len(p)] += 2.0 * (solve @ (basis.T @ joined[:, -1]))
             zeros = np.linalg.eigvals(A).astype(complex)
             p = zeros[zeros.imag >= 0]
-            p = -np.maximum(np.abs(p.real), EPS * np.abs(p)) + 1j * p.imag
+            p = np.asarray(-np.maximum(np.abs(p.real), EPS * np.abs(p)) + 1j * p.imag)
         inside = (p.imag < region.ceiling) & (-p.real < region.ceiling)
-        return np.asarray(p[inside & ((p.imag > 0.5 * region.bin) | (p.imag == 0))])
+        return np.asarray(p[inside & ((p.imag > 0.5 * region.bin) | ((p.imag == 0) & region.kinds_may_change))])
 
     def _scanned(self, p: ComplexArray) -> tuple[ComplexArray, Array]:
         """Poles between all points that explain most of what modes leave; of sensors of any kind, as a velocity."""

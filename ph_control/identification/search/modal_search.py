@@ -61,7 +61,7 @@ _SCANS = 3  # searches with the delays that the last one says
 _LONGEST_DELAY = 24  # samples
 _LAGS = 4  # of different rates, with which delays are looked for
 _AGREED = 0.1  # of the criterion: less is gained where a model and its noise agree
-_NO_NOISE = 1.0  # by which the logarithm of the variance falls where what was left is no noise, of any law
+_NO_NOISE = 3.0  # by which the logarithm of the variance falls where what was left is no noise, of any law
 _LASTING = 0.05  # of a record: the part in which an input has to act
 
 
@@ -464,7 +464,7 @@ def _without_errors(whole: FreeFit, channels: Sequence[ResponseMatrix], among: C
     like damping, and residuals are not white: there a line is left out only if nothing else was wrong.
     """
     projection = whole.projection
-    if whole.interrupted or whole.rounding or not len(projection.p):
+    if whole.interrupted or whole.rounding or whole.crowded or not len(projection.p):
         return whole
 
     def leaving(places: Collection[Place], **how: Any) -> FreeFit:
@@ -1290,6 +1290,8 @@ class FreePath:
     def _in_rows(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
         """The model of an order, or of that which the criterion prefers, in the noise of the present rows."""
         model = self.improved(self.grown(start, most, automatic), most, automatic)
+        if not automatic and len(model.p) and not (self.is_exact(model) or self.is_white(model)):
+            model = self.of_common_denominator(model, most, automatic) or model
         other = self.likelier(model, most) if automatic else None
         if other is not None:
             other = self.improved(self.grown(other.p, most, automatic), most, automatic)
@@ -1342,7 +1344,7 @@ class FreePath:
             return lag if self.cost(lag) <= self.cost(more) else more
         if more is None and automatic and self.candidates(model)[1].any():
             # what stands out only mends the shape of others: so it is where modes overlap
-            more = self.of_common_denominator(lag or model, most)
+            more = self.of_common_denominator(lag or model, most, automatic)
         return more or lag
 
     @property
@@ -1350,37 +1352,44 @@ class FreePath:
         """Whether poles are those of a common denominator, of modes that overlap."""
         return isinstance(self.search, Responses) and self.search.crowded
 
-    def of_common_denominator(self, model: FreeModel, most: int) -> FreeModel | None:
+    def of_common_denominator(self, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
         """Modes that overlap found all at once, as many as the criterion wants, if they explain much more than a model.
 
-        From there on modes may mend the shape of others, if any do.
+        From there on modes may mend the shape of others, if they have to.
         """
-        if self.separate or self.real_poles != "auto" or not isinstance(self.search, Responses) or not (
-            self.search.is_dense and self.search.kinds_may_change
+        if self.separate or self.real_poles not in ("auto", 0) or not (
+            isinstance(self.search, Responses) and self.search.is_dense
         ):  # fmt: skip
             return None
         plain, self.separate = self.search, True
-        self.search = replace(self.search, crowded=True)
+        self.search = together = replace(self.search, crowded=True)
         self.weigh(model.losses)
-        best, missed, count = model, 0, _modes(model.p)
-        while missed < TUNING.patience and count < most:
-            count = min(most, count * 5 // 4 + 1)
-            p = self.scaled.of_common_denominator(count)
+        together = together.scaled(self.sizes)
+        best, missed, count = model, 0, _modes(model.p) if automatic else most - 1
+        while missed < TUNING.patience and (count < most or not automatic):
+            count = min(most, count * 5 // 4 + 1) if automatic else count + 1
+            p = together.of_common_denominator(count)
             if self.search.unknowns_of(p) >= self.counts.sum():
                 break
-            more = self.judged(FreeProjection(self.scaled.data, p))
-            best, missed = (more, 0) if self.cost(more) < self.cost(best) else (best, missed + 1)
+            missed += 1
+            if automatic or _modes(p) == most:
+                more = self.judged(FreeProjection(self.scaled.data, p))
+                best, missed = (more, 0) if self.cost(more) < self.cost(best) else (best, missed)
         if best is not model:
-            best = self.pruned(self.reweighted(self.model(best.p)))
+            best = self.reweighted(self.model(best.p))
+            best = self.pruned(best) if automatic else best
         crowded, self.search = self.search, plain
+        for term in FURTHER_TERMS:  # what may be no background, but one of further terms
+            self.search = self.search.with_term(term)
         self.weigh(best.losses)
-        apart = self.cleaned(self.model(best.p))
+        apart = self.reweighted(self.cleaned(self.model(best.p))) if automatic else model
         if self.cost(best) < min(self.cost(apart), self.cost(model)) - _NO_NOISE * self.counts.sum():
             self.search = crowded
             self.weigh(best.losses)
             return best
+        self.search = plain
         self.weigh(model.losses)
-        return self.reweighted(apart) if self.cost(apart) < self.cost(model) else None
+        return None
 
     def with_lag(self, model: FreeModel, most: int) -> FreeModel | None:
         """One more real pole, if the criterion prefers it; two may become a mode where there are not `most` yet."""
