@@ -38,7 +38,7 @@ _SLOWEST = 0.03  # bins: a fifth of the reciprocal of the length
 _FASTEST = 0.5  # of the ceiling
 _PLACES = 8  # of a mode between two of few points, and half-widths in bins there
 _DECAYS = (0.01, 0.1, 0.5, 1.5)
-_ALL_AT_ONCE = 1 << 15  # real equations up to which poles are those of a common denominator
+_ALL_AT_ONCE = 1 << 14  # real equations up to which poles are those of a common denominator
 _RELOCATIONS = 8  # of these
 _CROWDED = 0.01  # damping ratio that they begin with
 _ABOVE = 2.0  # of the largest frequency: where modes above the band still shape what is in it
@@ -541,9 +541,13 @@ class Responses(FreeSearch):
         return replace(region, ceiling=_ABOVE * region.ceiling, growth=0.0) if self.crowded else region
 
     @property
-    def is_dense(self) -> bool:
-        """Whether modes are of any residues, and the points few enough to solve for all poles at once."""
-        return not self.classical and sum(rows.samples * len(rows.outputs) for rows in self.data) <= _ALL_AT_ONCE
+    def share_poles(self) -> bool:
+        """Whether several entries, of any residues, have poles in common, and are few enough to solve for all at once.
+
+        Poles of a single entry may mend the shape of anything.
+        """
+        counts = [rows.samples for rows in self.data for _ in rows.outputs]
+        return not self.classical and len(counts) > 1 and sum(counts) <= _ALL_AT_ONCE
 
     def of_common_denominator(self, count: int) -> ComplexArray:
         """Poles of so many modes, some of which may be real ones, that explain all entries best together.

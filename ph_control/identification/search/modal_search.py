@@ -61,7 +61,7 @@ _SCANS = 3  # searches with the delays that the last one says
 _LONGEST_DELAY = 24  # samples
 _LAGS = 4  # of different rates, with which delays are looked for
 _AGREED = 0.1  # of the criterion: less is gained where a model and its noise agree
-_NO_NOISE = 3.0  # by which the logarithm of the variance falls where what was left is no noise, of any law
+_NO_NOISE = 1.0  # by which the logarithm of the variance falls where what was left is no noise, of any law
 _LASTING = 0.05  # of a record: the part in which an input has to act
 
 
@@ -1358,7 +1358,7 @@ class FreePath:
         From there on modes may mend the shape of others, if they have to.
         """
         if self.separate or self.real_poles not in ("auto", 0) or not (
-            isinstance(self.search, Responses) and self.search.is_dense
+            isinstance(self.search, Responses) and self.search.share_poles
         ):  # fmt: skip
             return None
         plain, self.separate = self.search, True
