@@ -45,3 +45,69 @@ def test_a_slow_real_pole_among_many_lines_is_found():
     result = phc.pem(ct.frd(H, omega, smooth=False))
     assert result.order == 4
     assert np.allclose(result.time_constants, [20.0], rtol=0.02)
+
+
+def ladder(n, port=50.0):
+    """Response 2 x 2 of a ladder with a source behind a resistor at both ends, at 200 lines."""
+    rng = np.random.default_rng(0)
+    C, L, R = rng.uniform(0.7, 1.3, n), rng.uniform(0.7, 1.3, n - 1), rng.uniform(0.01, 0.04, n - 1)
+    # voltages of the nodes and currents along the ladder
+    A = np.zeros((2 * n - 1, 2 * n - 1))
+    for k in (0, n - 1):
+        A[k, k] = -1 / (port * C[k])
+    for k in range(n - 1):
+        A[n + k, [n + k, k, k + 1]] = -R[k] / L[k], 1 / L[k], -1 / L[k]
+        A[k, n + k], A[k + 1, n + k] = -1 / C[k], 1 / C[k + 1]
+    B = np.zeros((2 * n - 1, 2))
+    B[0, 0], B[n - 1, 1] = 1 / (port * C[0]), 1 / (port * C[-1])
+    out = np.zeros((2, 2 * n - 1))
+    out[0, 0] = out[1, n - 1] = -1 / port
+    omega = np.linspace(0.02, 2.3, 200)
+    return omega, np.stack(
+        [out @ np.linalg.solve(1j * w * np.eye(len(A)) - A, B) + np.eye(2) / port for w in omega], axis=2
+    )
+
+
+def lossy_line(omega, skin=0.02, resistance=0.01):
+    """Admittances 2 x 2 of a line of two conductors that the skin effect damps, which has no finite number of modes."""
+    inductance, capacity = np.array([[1.0, 0.35], [0.35, 1.0]]), np.array([[1.0, -0.2], [-0.2, 1.0]])
+    H = np.zeros((2, 2, len(omega)), complex)
+    for k, s in enumerate(1j * omega):
+        series = s * inductance + (np.eye(2) + 0.3) * (resistance + skin * np.sqrt(s))
+        squares, T = np.linalg.eig(series @ (s * capacity))
+        gamma, inverse = np.sqrt(squares), np.linalg.inv(T)
+        surge = np.linalg.inv(series) @ T * gamma
+        near, far = surge / np.tanh(gamma) @ inverse, -surge / np.sinh(gamma) @ inverse
+        H[:, :, k] = near - far @ np.linalg.solve(near + np.diag([0.05, 3.0]), far.T)
+    return H
+
+
+def misfit(H, omega, noise=1e-4, **options):
+    """Relative error of the fit to a response with noise, and the result."""
+    rng = np.random.default_rng(1)
+    size = noise * np.sqrt(np.mean(np.abs(H) ** 2) / 2)
+    data = ct.frd(H + size * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)), omega, smooth=False)
+    result = phc.pem(data, structure="free", **options)
+    error = np.reshape(result.predicted, H.shape) - H
+    return np.sqrt(np.mean(np.abs(error) ** 2) / np.mean(np.abs(H) ** 2)), result
+
+
+def test_overlapping_modes_of_a_ladder_are_fitted_to_a_thousandth():
+    omega, H = ladder(9)
+    assert misfit(H, omega)[0] < 1e-3
+
+
+def test_a_line_with_skin_effect_is_fitted_with_modes_above_the_band():
+    omega = np.linspace(0.05, 25.0, 200)
+    error, result = misfit(lossy_line(omega), omega)
+    assert error < 2e-4
+    # those above shape what is in the band; a line gives no energy to any of them
+    assert omega[-1] < result.natural_frequencies.max() < 2 * omega[-1]
+    assert np.all(result.damping_ratios >= 0)
+
+
+def test_where_overlapping_modes_end_at_the_largest_order_this_is_said():
+    omega = np.linspace(0.05, 25.0, 200)
+    error, result = misfit(lossy_line(omega), omega, max_order=10)
+    assert result.order >= 10 and error > 1e-2
+    assert any(finding.cause.name == "LARGEST_ORDER" for finding in result.findings)

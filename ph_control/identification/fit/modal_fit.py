@@ -57,6 +57,7 @@ from .pem_result import PEMResult
 from .result import STRUCTURES, OrderRow, cut_short
 from .scaled_shapes import ModeShapes, shape_errors
 
+_MOST = 20, 40  # modes of records, and of responses, which may be those of networks
 _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it
 _COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
 _HALF = 0.05  # of half a sample: what a delay may differ from it by
@@ -112,7 +113,9 @@ class Options:
         elif order != "auto":
             raise StructureError(f"order is {order!r}; it must be 'auto' or a whole number of at least 1")
         _checks.flag_or_auto("offset", options["offset"])
-        most, real_poles = _checks.whole_number("max_order", options["max_order"], 1), options["real_poles"]
+        most, real_poles = options["max_order"], options["real_poles"]
+        most = _MOST[isinstance(channels[0], ResponseMatrix)] if most is None else most
+        most = _checks.whole_number("max_order", most, 1)
         if not isinstance(real_poles, str):
             real_poles = _checks.whole_number("real_poles", real_poles, 0)
         elif real_poles != "auto":

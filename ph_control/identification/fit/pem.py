@@ -39,7 +39,7 @@ def pem(
     initial_guess: Any = None,
     weights: Any = None,
     criterion: str = "bic",
-    max_order: int = 20,
+    max_order: int | None = None,
     workers: Any = 1,
     rng: Any = None,
     callback: Callback | None = None,
@@ -91,8 +91,8 @@ def pem(
         the `findings`.
     criterion : {'bic', 'aicc', 'aic', 'holdout'}
         What 'auto' minimises; 'holdout' is the error over the last third of each record, of models fitted to the rest.
-    max_order : int
-        Largest order tried by 'auto'.
+    max_order : int, optional
+        Largest order tried by 'auto'; by default 20, and 40 of frequency responses.
     workers : int, executor, Dask client or map-like callable
         Without effect, as the search runs in one process; `fit_many` fits several recordings at a time.
     rng : numpy.random.Generator or int, optional

@@ -119,14 +119,15 @@ class Sections:
 class PoleRegion:
     """Where poles are looked for; `bin` is the distance in frequency within which the loss has one minimum.
 
-    No pole is beyond the `ceiling`, and none grows by more than a factor over the record.  Where the kinds of sections
-    may not change, those with complex poles are the `oscillating` ones (k,).
+    No pole is beyond the `ceiling`, and none grows faster than `growth` bins, by a factor over the record.  Where the
+    kinds of sections may not change, those with complex poles are the `oscillating` ones (k,).
     """
 
     bin: float
     ceiling: float
     kinds_may_change: bool = True
     oscillating: Mask | None = None
+    growth: float = TUNING.fastest_growth
 
     def about(self, sections: Sections) -> PoleRegion:
         """The region of models that begin with some sections."""
@@ -134,7 +135,7 @@ class PoleRegion:
 
     @property
     def _growth(self) -> float:
-        return TUNING.fastest_growth * self.bin
+        return self.growth * self.bin
 
     def inside(self, x: Array) -> Array:
         """Coordinates brought to where poles are allowed, those of a section apart from one another."""

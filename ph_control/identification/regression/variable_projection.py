@@ -132,7 +132,9 @@ def _follow_secants(problem: Minimisation[Projection], state: Refinement[Project
         best = trial if trial.loss < best.loss else best
         return trial.loss / start.loss, 2 * unit * trial.gradient / start.loss
 
-    outcome = minimize(relative, np.zeros(len(unit)), jac=True, method="BFGS", options={"gtol": _FLAT, "maxiter": _SECANTS})
+    outcome = minimize(
+        relative, np.zeros(len(unit)), jac=True, method="BFGS", options={"gtol": _FLAT, "maxiter": _SECANTS}
+    )
     state.projection, state.iterations = best, state.iterations + int(outcome.nit)
     # where the loss rounds, steps end before the slope does
     slope = np.max(np.abs(unit * best.gradient)) / best.loss

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices
 from ...modal.discretization import Hold
 from ..regression.elimination import orthogonal, without
@@ -22,6 +23,7 @@ from ..regression.frequency_rows import FreeResponse, Term
 from ..regression.sections import PoleRegion
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow, real_rows
 from ..regression.time_rows import FreeRecord
+from ..regression.triangular import reduced
 from ..regression.tuning import TUNING
 from .circumstances import autoregression, correlations
 
@@ -36,6 +38,10 @@ _SLOWEST = 0.03  # bins: a fifth of the reciprocal of the length
 _FASTEST = 0.5  # of the ceiling
 _PLACES = 8  # of a mode between two of few points, and half-widths in bins there
 _DECAYS = (0.01, 0.1, 0.5, 1.5)
+_ALL_AT_ONCE = 1 << 14  # real equations up to which poles are those of a common denominator
+_RELOCATIONS = 8  # of these
+_CROWDED = 0.01  # damping ratio that they begin with
+_ABOVE = 2.0  # of the largest frequency: where modes above the band still shape what is in it
 
 
 Residuals = list[ComplexArray]  # of the outputs (q, K) of each set of rows, in the frequency domain
@@ -429,9 +435,10 @@ def _least_squares(columns: ComplexArray, targets: ComplexArray) -> tuple[Comple
 
 @dataclass(frozen=True)
 class Responses(FreeSearch):
-    """Frequency responses."""
+    """Frequency responses, whose modes may be so `crowded` that poles are those of a common denominator."""
 
     data: Sequence[FreeResponse]
+    crowded: bool = False
 
     def with_kinds(self, changing: bool) -> FreeSearch:
         """The same where modes may become overdamped, if the data tell them from a background."""
@@ -526,6 +533,51 @@ class Responses(FreeSearch):
         """Parameters of a model; of modes with real shapes one number for each entry."""
         entries = sum(len(rows.outputs) for rows in self.data)
         return super().unknowns(modes, real_poles) - self.classical * modes * entries
+
+    @property
+    def region(self) -> PoleRegion:
+        """Where poles are looked for; those of a common denominator decay, and may be of modes above the band."""
+        region = super().region
+        return replace(region, ceiling=_ABOVE * region.ceiling, growth=0.0) if self.crowded else region
+
+    @property
+    def share_poles(self) -> bool:
+        """Whether several entries, of any residues, have poles in common, and are few enough to solve for all at once.
+
+        Poles of a single entry may mend the shape of anything.
+        """
+        counts = [rows.samples for rows in self.data for _ in rows.outputs]
+        return not self.classical and len(counts) > 1 and sum(counts) <= _ALL_AT_ONCE
+
+    def of_common_denominator(self, count: int) -> ComplexArray:
+        """Poles of so many modes, some of which may be real ones, that explain all entries best together.
+
+        Vector fitting of Gustavsen and Semlyen: poles all over the band move to the zeros of a common denominator.
+        Entries are eliminated one by one as Deschrijver and others do.
+        """
+        region = self.region
+        places = np.linspace(region.bin, max(rows.ceiling for rows in self.data), count)
+        p = np.asarray(places * (1j - _CROWDED), complex)
+        for _ in range(_RELOCATIONS):
+            kept = np.append(np.ones(len(p), bool), p.imag > 0)  # a real pole has no imaginary part of a residue
+            factors = []
+            for rows in self.data:
+                columns = rows.columns(p)
+                modes = columns[len(rows.terms) :][: 2 * len(p)][kept] / rows.weight
+                basis, _ = orthogonal(real_rows([columns]).T)
+                for target in rows.target:
+                    rest = without(real_rows([modes * target, target[None]]).T, basis)
+                    factors.append(reduced(np.asfortranarray(rest)))
+            joined = np.concatenate(factors)
+            basis, solve = orthogonal(joined[:, :-1])
+            # zeros of 1 - sum w_l / (s - p_l): in the states of each mode the input acts on the first
+            A = np.block([[np.diag(p.real), np.diag(p.imag)], [np.diag(-p.imag), np.diag(p.real)]])[np.ix_(kept, kept)]
+            A[: len(p)] += 2.0 * (solve @ (basis.T @ joined[:, -1]))
+            zeros = np.linalg.eigvals(A).astype(complex)
+            p = zeros[zeros.imag >= 0]
+            p = np.asarray(-np.maximum(np.abs(p.real), EPS * np.abs(p)) + 1j * p.imag)
+        inside = (p.imag < region.ceiling) & (-p.real < region.ceiling)
+        return np.asarray(p[inside & ((p.imag > 0.5 * region.bin) | ((p.imag == 0) & region.kinds_may_change))])
 
     def _scanned(self, p: ComplexArray) -> tuple[ComplexArray, Array]:
         """Poles between all points that explain most of what modes leave; of sensors of any kind, as a velocity."""

@@ -61,6 +61,7 @@ _SCANS = 3  # searches with the delays that the last one says
 _LONGEST_DELAY = 24  # samples
 _LAGS = 4  # of different rates, with which delays are looked for
 _AGREED = 0.1  # of the criterion: less is gained where a model and its noise agree
+_NO_NOISE = 1.0  # by which the logarithm of the variance falls where what was left is no noise, of any law
 _LASTING = 0.05  # of a record: the part in which an input has to act
 
 
@@ -110,6 +111,8 @@ class FreeFit(Frozen):
         Whether the delay is left to the data.
     noise : tuple of ndarray
         Innovations filter of the noise of each output, with which these rows were made; none where the noise is white.
+    crowded : bool
+        Whether modes of responses overlap so much that they were found all at once, by a common denominator.
     """
 
     projection: FreeProjection
@@ -128,6 +131,7 @@ class FreeFit(Frozen):
     delay_gain: float = 0.0
     delay_open: bool = False
     noise: tuple[Array, ...] = ()
+    crowded: bool = False
 
     @property
     def per_entry(self) -> bool:
@@ -326,7 +330,8 @@ class _Search:
 
 def _beside_all_else(fit: FreeFit, search: _Search, weighted: bool, drifting: bool) -> FreeFit:
     """The fit with what its data show beside modes: noise that grows with gains of responses, or drifts and delays."""
-    if fit.interrupted or fit.rounding or (fit.per_entry and weighted) or not (fit.states or fit.noise):
+    # what crowded modes leave is no noise whose law could be told
+    if fit.interrupted or fit.rounding or fit.crowded or (fit.per_entry and weighted) or not (fit.states or fit.noise):
         return fit
     try:
         if fit.per_entry:
@@ -412,7 +417,7 @@ def _from_peaks(fit: FreeFit, path: FreePath, search: _Search) -> FreeFit:
     Weighted by its gain, a response is equally large everywhere: its resonances do not stand out in a search for poles.
     """
     channels: Any = fit.channels
-    if not fit.per_entry or fit.interrupted or path.best is None or path.is_white(path.best):
+    if not fit.per_entry or fit.interrupted or fit.crowded or path.best is None or path.is_white(path.best):
         return fit
     if all(np.ptp(channel.weights[channel.observed]) == 0 for channel in channels):
         return fit
@@ -484,7 +489,7 @@ def _without_errors(whole: FreeFit, channels: Sequence[ResponseMatrix], among: C
     like damping, and residuals are not white: there a line is left out only if nothing else was wrong.
     """
     projection = whole.projection
-    if whole.interrupted or whole.rounding or not len(projection.p):
+    if whole.interrupted or whole.rounding or whole.crowded or not len(projection.p):
         return whole
 
     def leaving(places: Collection[Place], **how: Any) -> FreeFit:
@@ -1009,6 +1014,7 @@ class FreePath:
         self.best = best  # so far
         self.seen: list[tuple[float, ComplexArray]] = []  # all so far: costs and poles
         self._shown: tuple[FreeModel, tuple[ComplexArray, Array]] | None = None
+        self.separate = False  # whether a common denominator does not explain more than one mode after the other
         largest = np.zeros(len(felt))
         for rows in search.data:
             largest[rows.outputs] = np.maximum(largest[rows.outputs], rows.largest)
@@ -1265,6 +1271,8 @@ class FreePath:
         """Poles that stand out of what is left, the strongest first."""
         if self._shown is not None and self._shown[0] is model:
             return self._shown[1]
+        if self.crowded:  # none stands out by itself
+            return np.zeros(0, complex), np.zeros(0)
         p, gains = self.scaled.candidates(model)
         now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(np.append(model.p, 1j))
         if isinstance(self.search, Responses) and self.search.classical:
@@ -1317,6 +1325,8 @@ class FreePath:
     def _in_rows(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
         """The model of an order, or of that which the criterion prefers, in the noise of the present rows."""
         model = self.improved(self.grown(start, most, automatic), most, automatic)
+        if not automatic and len(model.p) and not (self.is_exact(model) or self.is_white(model)):
+            model = self.of_common_denominator(model, most, automatic) or model
         other = self.likelier(model, most) if automatic else None
         if other is not None:
             other = self.improved(self.grown(other.p, most, automatic), most, automatic)
@@ -1365,9 +1375,56 @@ class FreePath:
         """One more mode, or several, or one more real pole: what the criterion prefers."""
         more = self.with_modes(model, most, automatic) if _modes(model.p) < most else None
         lag = self.with_lag(model, most)
-        if lag is None or more is None:
-            return more or lag
-        return lag if self.cost(lag) <= self.cost(more) else more
+        if lag is not None and more is not None:
+            return lag if self.cost(lag) <= self.cost(more) else more
+        if more is None and automatic and self.candidates(model)[1].any():
+            # what stands out only mends the shape of others: so it is where modes overlap
+            more = self.of_common_denominator(lag or model, most, automatic)
+        return more or lag
+
+    @property
+    def crowded(self) -> bool:
+        """Whether poles are those of a common denominator, of modes that overlap."""
+        return isinstance(self.search, Responses) and self.search.crowded
+
+    def of_common_denominator(self, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
+        """Modes that overlap found all at once, as many as the criterion wants, if they explain much more than a model.
+
+        From there on modes may mend the shape of others, if they have to.
+        """
+        if self.separate or self.real_poles not in ("auto", 0) or not (
+            isinstance(self.search, Responses) and self.search.share_poles
+        ):  # fmt: skip
+            return None
+        plain, self.separate = self.search, True
+        self.search = together = replace(self.search, crowded=True)
+        self.weigh(model.losses)
+        together = together.scaled(self.sizes)
+        best, missed, count = model, 0, _modes(model.p) if automatic else most - 1
+        while missed < TUNING.patience and (count < most or not automatic):
+            count = min(most, count * 5 // 4 + 1) if automatic else count + 1
+            p = together.of_common_denominator(count)
+            if self.search.unknowns_of(p) >= self.counts.sum():
+                break
+            missed += 1
+            if automatic or _modes(p) == most:
+                more = self.judged(FreeProjection(self.scaled.data, p))
+                best, missed = (more, 0) if self.cost(more) < self.cost(best) else (best, missed)
+        if best is not model:
+            best = self.reweighted(self.model(best.p))
+            best = self.pruned(best) if automatic else best
+        crowded, self.search = self.search, plain
+        for term in FURTHER_TERMS:  # what may be no background, but one of further terms
+            self.search = self.search.with_term(term)
+        self.weigh(best.losses)
+        apart = self.reweighted(self.cleaned(self.model(best.p))) if automatic else model
+        if self.cost(best) < min(self.cost(apart), self.cost(model)) - _NO_NOISE * self.counts.sum():
+            self.search = crowded
+            self.weigh(best.losses)
+            return best
+        self.search = plain
+        self.weigh(model.losses)
+        return None
 
     def with_lag(self, model: FreeModel, most: int) -> FreeModel | None:
         """One more real pole, if the criterion prefers it; two may become a mode where there are not `most` yet."""
@@ -1378,7 +1435,7 @@ class FreePath:
             return None
         pole, gain = self.scaled.lag(model.projection)
         p = np.append(model.p, pole)
-        if self.search.unknowns_of(p) >= self.counts.sum() or self.is_exact(model):
+        if self.search.unknowns_of(p) >= self.counts.sum() or self.is_exact(model) or self.crowded:
             return None
         if not given and gain < TUNING.nearly_as_strong * self.candidates(model)[1].max(initial=0.0):
             return None
@@ -1528,7 +1585,7 @@ class FreePath:
     def vagueness(self, model: FreeModel) -> Array:
         """Errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background."""
         allowed = TUNING.vague * np.maximum(np.abs(model.projection.sigma), self.search.region.bin)
-        lag = (model.p.imag == 0) | (_broad(model.p) & self.search.kinds_may_change)
+        lag = (model.p.imag == 0) | (_broad(model.p) & self.search.kinds_may_change) | self.crowded
         return np.where(lag, 0.0, self.decay_errors(model.projection) / allowed)
 
     def pruned(self, model: FreeModel) -> FreeModel:
@@ -1638,6 +1695,7 @@ class FreePath:
         return FreeFit(
             projection, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding,
             interrupted, measured=measured, noise=model.innovations, delay=self.delay,
+            crowded=self.crowded,
         )  # fmt: skip
 
     def without_needless_constants(
@@ -1665,6 +1723,8 @@ class FreePath:
     def beside_further_terms(self, most: int, automatic: bool) -> FreePath | None:
         """The search among responses on a background of further terms, where these explain more than real poles do."""
         if self.best is None or not isinstance(self.search, Responses) or not self.search.shows_background(0):
+            return None
+        if self.search.crowded:
             return None
         # of what is no background itself
         modes = self.best.p[(self.best.p.imag > 0) & ~_broad(self.best.p)]
