@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import eig, rsf2csf, schur
+from scipy.linalg import eig, schur
 from scipy.linalg.lapack import dgebal, zgetrf, zgetrs, ztrsen, ztrsyl
 
 from .._checks import EPS
@@ -126,10 +126,7 @@ def schur_form(A: Array) -> tuple[ComplexArray, ComplexArray]:
     if not len(A):
         return A.astype(complex), A.astype(complex)
     try:
-        if np.iscomplexobj(A):
-            return schur(A, output="complex", check_finite=False)
-        # the real form, turned complex, takes less than half the time
-        return rsf2csf(*schur(A, output="real", check_finite=False), check_finite=False)
+        return schur(A, output="complex", check_finite=False)
     except np.linalg.LinAlgError:
         raise StructureError(
             f"the eigenvalues of A were not found: its entries range over {np.abs(A[A != 0]).min():.1e} to "
