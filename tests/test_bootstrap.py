@@ -1,4 +1,4 @@
-"""Residual bootstrap against covariances, a dense sandwich formula, `pem` itself, and by hand."""
+"""Residual bootstrap against covariances, dense weighted least squares, `pem` itself, and by hand."""
 
 import dataclasses
 from functools import partial
@@ -48,7 +48,7 @@ def fits():
     """A result of every kind of data and option, by name."""
     u, y = recording(state=[1.0, -0.5, 0.3, 0.2])
     free = phc.initial_response(phc.ph(MODES), STEP * np.arange(200), [1.0, 2.0, 0.0, 1.0]).outputs
-    free = free + 0.05 * np.random.default_rng(5).standard_normal(200)
+    free = free + 0.1 * np.random.default_rng(5).standard_normal(200)
     frd, weights = response()
     return {
         "plain": lambda: lossless_fit((u, y), 2, dt=STEP),
@@ -271,40 +271,35 @@ def test_the_noise_that_is_drawn_has_the_variance_of_the_noise_and_no_mean(fitte
 # --- where it rightly differs ----------------------------------------------------------------------------------------
 
 
-def sandwich(result, levels):
-    """Standard errors of least squares whose experiments have noise of different levels: dense, by differences."""
+def dense_errors(result, levels):
+    """Standard errors of weighted least squares, experiments having noise of these levels: dense, by differences."""
     n, count = result.order, len(result.experiments)
 
     def predicted(theta):
         plant = phc.ph(phc.modes(theta[:n], theta[n : 2 * n]))
         states = theta[2 * n :].reshape(count, 2 * n)
         parts = [
-            phc.forced_response(plant, one.record.time, one.record.u, state, intersample="zoh").outputs
-            for one, state in zip(result.experiments, states, strict=True)
+            phc.forced_response(plant, data.record.time, data.record.u, state, intersample="zoh").outputs / level
+            for data, state, level in zip(result.experiments, states, levels, strict=True)
         ]
         return np.concatenate(parts)
 
     theta = np.concatenate([result.d, result.r, *result.initial_states])
     step = 1e-5
     J = np.array([(predicted(theta + e) - predicted(theta - e)) / (2 * step) for e in step * np.eye(len(theta))]).T
-    variance = np.concatenate(
-        [np.full(one.record.samples, s**2) for one, s in zip(result.experiments, levels, strict=True)]
-    )
-    inverse = np.linalg.inv(J.T @ J)
-    return np.sqrt(np.diag(inverse @ (J.T * variance) @ J @ inverse))
+    return np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
 
 
 def test_experiments_with_noise_of_their_own_have_errors_of_their_own():
     levels = 0.1, 0.6
     data = [recording(400, levels[0], 1), recording(120, levels[1], 2)]
     result = lossless_fit(data, 2, dt=STEP)
-    expected = sandwich(result, levels)
+    expected = dense_errors(result, levels)
     again = result.bootstrap(120, rng=3)
-    boot = np.concatenate([again.stderr[name].ravel() for name in ("d", "r", "initial_state")])
+    names = "d", "r", "initial_state"
+    boot, stated = (np.concatenate([of.stderr[name].ravel() for name in names]) for of in (again, result))
     # of 120 residuals the level is known to 1/sqrt(240)
-    assert near(boot, expected, 120, 3 / np.sqrt(240))
-    pooled = result.stderr["initial_state"].ravel() / expected[4:]
-    assert pooled[:4].min() > 1.6 and pooled[4:].max() < 0.6
+    assert near(boot, expected, 120, 3 / np.sqrt(240)) and near(stated, expected, 120, 3 / np.sqrt(240))
 
 
 def test_where_two_errors_outweigh_all_others_the_estimate_often_does_not_move():
@@ -387,7 +382,8 @@ def test_residuals_stay_within_their_experiment(problems):
     scale = module._Refit.of(result).layout.scales[0]
     for rows in problems:
         quiet, loud = (
-            np.std(scale * one.y[0] - data.predicted) for one, data in zip(rows, result.experiments, strict=True)
+            np.std(scale * data.noise_scale * one.y[0] - data.predicted)
+            for one, data in zip(rows, result.experiments, strict=True)
         )
         assert quiet < 0.4 * loud
 

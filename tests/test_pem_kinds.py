@@ -46,7 +46,9 @@ def recording(samples, h=0.1, seed=0, noise=0.0, quantity="velocity", offset=0.0
     u = rng.standard_normal(samples) if driven else np.zeros(samples)
     x = rng.standard_normal(2 * len(d))
     y = output(d, r * d, d * np.sqrt(r) * (x[: len(d)] + 1j * x[len(d) :]), u, h, quantity)
-    deviation = noise * np.std(y)
+    # as large in all experiments
+    force = np.random.default_rng(0).standard_normal(500)
+    deviation = noise * np.std(output(d, r * d, 0 * d * (1 + 1j), force, 0.1, quantity))
     y = y + offset + deviation * rng.standard_normal(samples)
     y[rng.random(samples) < gaps] = np.nan
     return (u if driven else None), y, x, deviation

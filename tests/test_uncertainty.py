@@ -32,11 +32,11 @@ def predicted(d, r, state, u, h, quantity="velocity"):
     return y
 
 
-def recording(samples, h, seed, noise=0.1, quantity="velocity", offset=0.0, d=D, r=R):
+def recording(samples, h, seed, noise=0.1, quantity="velocity", offset=0.0, d=D, r=R, size=None):
     rng = np.random.default_rng(seed)
     u = rng.standard_normal(samples)
     y = predicted(d, r, rng.standard_normal(2 * len(d)), u, h, quantity)
-    y = y + noise * np.std(y) * rng.standard_normal(samples) + offset
+    y = y + noise * (np.std(y) if size is None else size) * rng.standard_normal(samples) + offset
     y[rng.random(samples) < 0.03] = np.nan
     return u, y
 
@@ -86,7 +86,9 @@ def residues_of(d, r, quantity):
 def test_covariance_is_that_of_the_dense_fisher_information(quantity, offset, count):
     steps = [0.1, 0.13][:count]
     experiments = [
-        recording(T, h, T, quantity=quantity, offset=2.0 * offset) for T, h in zip([500, 400], steps, strict=False)
+        # noise as large in both
+        recording(T, h, T, quantity=quantity, offset=2.0 * offset, size=2.0)
+        for T, h in zip([500, 400], steps, strict=False)
     ]
     result = lossless_fit(experiments, N, dt=steps, quantity=quantity, offset=offset)
     expected, variance = dense_covariance(result, experiments, steps, quantity, offset)

@@ -165,6 +165,7 @@ def fit_channels(
         if again.interrupted or saved <= 0:
             break
         channels, search, free, moving, hums = quiet, search_in(quiet), again, its_motion, tones.findings(saved)
+    alone = channels, search, free, moving
     first, charge = free.criteria.bic, (len(channels) - 1) * float(np.log(free.projection.rows))
     for _ in range(_ROUNDS):
         alike = in_equal_noise(channels, free)
@@ -174,6 +175,8 @@ def fit_channels(
         if again.interrupted or again.criteria.bic + charge >= min(first, free.criteria.bic + charge):
             break
         channels, search, free, moving = alike, search_in(alike), again, its_motion
+    if not is_white(free.projection):  # what modes that are missing leave says nothing of the noise
+        channels, search, free, moving = alone
     units = tuple(getattr(channel, "unit", 1.0) for channel in channels)
     if any(unit != 1 for unit in units):
         unequal = Finding(Cause.UNEQUAL_NOISE, units, 0.5 * (first - free.criteria.bic - charge))

@@ -35,7 +35,7 @@ _WORDS = {
 # older files do not have them, or they are left out where there is nothing to say
 _MAY_LACK = {
     "drift", "output", "experiment", "findings", "tests", "time_unit", "title", "method", "blind",
-    "initial_stderr", "offset_stderr", "delay", "delay_stderr", "background",
+    "initial_stderr", "offset_stderr", "noise_scale", "delay", "delay_stderr", "background",
 }  # fmt: skip
 _MAY_BE_NAN = {
     "covariance", "offset_stderr", "initial_stderr", "y", "response", "shape_stderr", "delay_stderr",
