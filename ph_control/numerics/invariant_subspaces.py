@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import eig, schur
+from scipy.linalg import eig, rsf2csf, schur
 from scipy.linalg.lapack import dgebal, zgetrf, zgetrs, ztrsen, ztrsyl
 
 from .._checks import EPS
@@ -29,7 +29,7 @@ class SchurResolvent:
     """`(s - A)^-1 B` and `C (s - A)^-1` at points `s` (K,) by one Schur form, O(n^2) a point; NaN at a pole."""
 
     def __init__(self, A: Array) -> None:
-        self.T, self.Z = schur_form(A)
+        self.T, self.Z = schur_form(A, turned=True)
         # the backward error of the Schur form
         self.rounding = len(A) * EPS * float(np.linalg.norm(A))
 
@@ -121,11 +121,17 @@ class InvariantBlock(NamedTuple):
     separation: float
 
 
-def schur_form(A: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Triangular `T` and unitary `Z` with `A = Z T Z^H`."""
+def schur_form(A: Array, turned: bool = False) -> tuple[ComplexArray, ComplexArray]:
+    """Triangular `T` and unitary `Z` with `A = Z T Z^H`.
+
+    A real form that is `turned` complex takes less than half the time; it is exact enough for solutions, while nearly
+    coincident eigenvalues lose digits.
+    """
     if not len(A):
         return A.astype(complex), A.astype(complex)
     try:
+        if turned and not np.iscomplexobj(A):
+            return rsf2csf(*schur(A, output="real", check_finite=False), check_finite=False)
         return schur(A, output="complex", check_finite=False)
     except np.linalg.LinAlgError:
         raise StructureError(
