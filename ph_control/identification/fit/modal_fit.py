@@ -149,39 +149,15 @@ def fit_channels(
         )  # fmt: skip
 
     resting = options.moving and begin_at_rest(channels)
-    search = search_in(channels)
-    free, moving = _beside_motion(search, order, start, options.moving, resting)
-    hums: list[Finding] = []
-    while len(more := undriven(free)):
-        frequencies = np.append(Tones.of(hums, channels).frequencies, free.projection.p.imag[more])
-        tones = tones_in(free, frequencies)
-        for _ in range(_ROUNDS):
-            quiet = tones.taken_from(channels)
-            again, its_motion = _beside_motion(search_in(quiet), order, start, options.moving, resting)
-            if again.interrupted:
-                break
-            tones = tones_in(again, tones.frequencies)
-        saved = 0.5 * (free.criteria.bic - again.criteria.bic - tones.unknowns * float(np.log(free.projection.rows)))
-        if again.interrupted or saved <= 0:
-            break
-        channels, search, free, moving, hums = quiet, search_in(quiet), again, its_motion, tones.findings(saved)
-    alone = channels, search, free, moving
-    first, charge = free.criteria.bic, (len(channels) - 1) * float(np.log(free.projection.rows))
-    for _ in range(_ROUNDS):
-        alike = in_equal_noise(channels, free)
-        if alike is None:
-            break
-        again, its_motion = _beside_motion(search_in(alike), order, start, options.moving, resting)
-        if again.interrupted or again.criteria.bic + charge >= min(first, free.criteria.bic + charge):
-            break
-        channels, search, free, moving = alike, search_in(alike), again, its_motion
-    if not is_white(free.projection):  # what modes that are missing leave says nothing of the noise
-        channels, search, free, moving = alone
-    units = tuple(getattr(channel, "unit", 1.0) for channel in channels)
-    if any(unit != 1 for unit in units):
-        unequal = Finding(Cause.UNEQUAL_NOISE, units, 0.5 * (first - free.criteria.bic - charge))
-        free = replace(free, findings=(*free.findings, unequal))
-    free = replace(free, findings=(*hums, *free.findings, *_about_order(free, order, options)))
+
+    def searched(channels: Channels) -> _Searched:
+        return _Searched(channels, *_beside_motion(search_in(channels), order, start, options.moving, resting))
+
+    latest = _beside_unequal_noise(_beside_hum(searched(channels), searched), searched)
+    search, moving = search_in(latest.channels), latest.moving
+    free = replace(
+        latest.free, findings=(*latest.findings, *latest.free.findings, *_about_order(latest.free, order, options))
+    )
 
     def with_delay(delay: Array) -> FreeFit:
         return search(order, start=start, moving=moving, delay=delay)
@@ -192,6 +168,55 @@ def fit_channels(
         free = _of_modes(free, imaginary(result.d[result.kappa > 0]))
         result = under_either_hold(free, request, findings)
     return result
+
+
+@dataclass(frozen=True)
+class _Searched:
+    """Channels as they were searched, their fit, whether modes may move at first, and what was told of the channels."""
+
+    channels: Channels
+    free: FreeFit
+    moving: bool
+    findings: tuple[Finding, ...] = ()
+
+
+def _beside_hum(latest: _Searched, searched: Callable[[Channels], _Searched]) -> _Searched:
+    """The fit beside tones in place of modes that neither decay nor are driven, where the criterion agrees."""
+    while len(more := undriven(latest.free)):
+        free = latest.free
+        hums = Tones.of(latest.findings, latest.channels)
+        tones = tones_in(free, np.append(hums.frequencies, free.projection.p.imag[more]))
+        for _ in range(_ROUNDS):
+            again = searched(tones.taken_from(latest.channels))
+            if again.free.interrupted:
+                return latest
+            taken, tones = tones, tones_in(again.free, tones.frequencies)
+        charge = taken.unknowns * float(np.log(free.projection.rows))
+        saved = 0.5 * (free.criteria.bic - again.free.criteria.bic - charge)
+        if saved <= 0:
+            return latest
+        latest = replace(again, findings=tuple(taken.findings(saved)))
+    return latest
+
+
+def _beside_unequal_noise(alone: _Searched, searched: Callable[[Channels], _Searched]) -> _Searched:
+    """The fit to recordings in units in which their noise is the same, where that is likelier and the noise white."""
+    latest, charge = alone, (len(alone.channels) - 1) * float(np.log(alone.free.projection.rows))
+    for _ in range(_ROUNDS):
+        alike = in_equal_noise(latest.channels, latest.free)
+        if alike is None:
+            break
+        again = searched(alike)
+        least = min(alone.free.criteria.bic - charge, latest.free.criteria.bic)
+        if again.free.interrupted or again.free.criteria.bic >= least:
+            break
+        latest = again
+    # what modes that are missing leave says nothing of the noise
+    if latest is alone or not is_white(latest.free.projection):
+        return alone
+    units = tuple(getattr(channel, "unit", 1.0) for channel in latest.channels)
+    gain = 0.5 * (alone.free.criteria.bic - latest.free.criteria.bic - charge)
+    return replace(latest, findings=(*alone.findings, Finding(Cause.UNEQUAL_NOISE, units, gain)))
 
 
 def _beside_motion(
