@@ -440,10 +440,6 @@ class Responses(FreeSearch):
     data: Sequence[FreeResponse]
     crowded: bool = False
 
-    def with_kinds(self, changing: bool) -> FreeSearch:
-        """The same where modes may become overdamped, if the data tell them from a background."""
-        return replace(self, kinds_may_change=changing and self.shows_background(2))
-
     def shows_background(self, n: int) -> bool:
         """Whether points abound: of few of them a real pole may stand for modes outside the band."""
         return all(len(rows.omega) >= _ABOUNDING + 4 * n for rows in self.data)
