@@ -28,6 +28,7 @@ from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.unequal_noise import in_equal_noise
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
 from ..excitation.excitation import examine
+from ..innovations.forces import beside_forces
 from ..regression.free import FreeProjection, GivenResidues, refine_free
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.frequency_rows import FreeResponse
@@ -144,7 +145,7 @@ def fit_channels(
         return partial(
             free_fit, channels, quantities=request.quantities, intersample=options.intersample, offset=options.offset,
             max_order=options.max_order, criterion=options.criterion, weighted=options.weighted,
-            real_poles=options.real_poles, method=options.method, delay=options.delay,
+            real_poles=options.real_poles, method=options.method, delay=options.delay, beside=beside_forces,
             reports=reporter(options.largest, options.callback),
         )  # fmt: skip
 
@@ -287,7 +288,7 @@ def under_either_hold(
     with delays of the outputs that are left to the data.
     """
     best, result = _chosen(free, request, findings, with_delay)
-    if result.whiteness >= WHITE or not result.success:
+    if result.whiteness >= WHITE or not result.success or free.beside is not None:
         return result
     late = best is not None and best.free.delay_open and bool(best.free.delay.any())
     free = best.free if best is not None and late else free
@@ -650,7 +651,7 @@ def _judged(
     counts, variances = _variances(experiments, free.per_entry)
     samples, known = int(counts.sum()), counts > 0
     loglik = float(-0.5 * np.sum(counts[known] * (np.log(2 * np.pi * variances[known]) + 1)))
-    if free.noise:  # that of the innovations, less what a structure costs
+    if free.noise or free.beside is not None:  # that of the innovations, less what a structure costs
         loglik = free.criteria.loglik - 0.5 * (fit.loss - free.projection.loss) / free.variance
     # as variances are divided by it, they are none of the unknowns
     spare = max(1, samples - (unknowns - len(free.scales)))
@@ -660,6 +661,8 @@ def _judged(
         poles, residues, fit.feedthrough, covariance, delay, request.quantities, free.method, free.intersample
     )
     whiteness = 1.0 if rounding else _whiteness(experiments, shown if single else (), model)
+    if free.beside is not None:
+        whiteness = ljung_box([row for errors in free.beside.errors for row in errors], TUNING.lags)
     findings = (
         *(_in_model(finding, experiments) for finding in findings), *_lateness(free, delay, delay_stderr),
         *_rejections(tests), *_reversed(free, request), *_saturated(experiments),

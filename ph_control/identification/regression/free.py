@@ -38,6 +38,8 @@ FreeRows = FreeRecord | FreeResponse | FreeWindow
 
 Rows = TypeVar("Rows", FreeRecord, FreeResponse)  # what may have a delay
 
+Sensitivity = tuple[list[int], Array, Array, Array]  # outputs, residual, Jacobians by poles and by their shared unknowns
+
 # --- delays of the outputs --------------------------------------------------------------------------------------------
 
 
@@ -207,6 +209,14 @@ class FreeProjection(LinearProjection):
     def factors(self) -> list[Array]:
         """Triangular factor of all columns of each experiment."""
         return [rows.at(self.p).factor(rows.samples) for rows in self.experiments]
+
+    def given(
+        self, p: ComplexArray, shared: Array, sections: Sections | None = None,
+        experiments: Sequence[FreeRows] | None = None,
+    ) -> GivenResidues:  # fmt: skip
+        """The same data at other poles and shared unknowns, which may be those of `experiments` with delays."""
+        experiments = self.experiments if experiments is None else experiments
+        return GivenResidues(FreeProjection(experiments, p, self.fed, sections), shared)
 
     def without_mode(self, k: int) -> FreeProjection:
         """The same without a mode, from the factors that are known."""
@@ -448,15 +458,15 @@ class GivenResidues(FreeProjection):
         R = reduced(np.asfortranarray(np.concatenate(rows)))
         return R[:, -1], R[:, :-1]
 
-    def sensitivities(self) -> Iterator[tuple[int, Array, Array, Array]]:
-        """Each output with its residual and the Jacobian of it by imaginary and real parts of poles, and by `shared`.
+    def sensitivities(self) -> Iterator[Sensitivity]:
+        """Residuals of outputs and their Jacobians by imaginary and real parts of poles, and by `shared`, by output.
 
         What belongs to each experiment moves along; the gradient and the information are those of all unknowns.
         """
         for group in self._groups:
             residual = self._residual(group)
             for place, output in enumerate(group.outputs):
-                yield output, residual[:, place], -self._slopes(group, output), -group.columns
+                yield [output], residual[:, place], -self._slopes(group, output), -group.columns
 
     def _residual(self, group: _Together) -> Array:
         return np.asarray(group.targets - group.columns @ self.shared[:, group.outputs])

@@ -50,6 +50,8 @@ class Cause(Enum):
     POLARITY = "a sensor that points against the force"
     HUM = "tone that no input drives"
     UNEQUAL_NOISE = "noise that differs between experiments"
+    FORCES = "forces that were not measured"
+    CORRELATED_NOISE = "noise that outputs share"
     HAMMER_NOISE = "noise of a hammer's force between its contacts"
     LARGEST_ORDER = "as many modes as the search may find"
     FEWER_MODES = "fewer modes than the order that was given"
@@ -81,7 +83,9 @@ class Finding:
         mean, and the share of their power; of outliers their places, counted from 0; of an output that
         stays at an end of its range how many samples do, and that end or both; of the noise of a hammer's force its
         standard deviation, and the peak of the force; of wild lines their frequencies, rad per unit time; of the
-        largest order that order; of fewer modes the order that was given, and how many reproduce the data.
+        largest order that order; of fewer modes the order that was given, and how many reproduce the data; of forces
+        that were not measured the root mean square of what inputs do not explain over that of each output; of noise
+        that outputs share the largest correlation.
     gain : float
         How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers and ends of the range.
     output : str
@@ -280,6 +284,22 @@ def _of_unequal_noise(finding: Finding, terms: _Terms) -> str:
     )
 
 
+def _of_forces(finding: Finding, terms: _Terms) -> str:
+    shares = dict.fromkeys(f"{100 * share:.2g} %" for share in (min(finding.values), max(finding.values)))
+    return (
+        f"Forces that were not measured, or noise of the recorded inputs, move the plant ({_gain(finding)}): of the "
+        f"outputs {' to '.join(shares)} is no response to the inputs. Errors and tests are those beside such forces; "
+        "more force, or a longer record, makes them smaller."
+    )
+
+
+def _of_correlated_noise(finding: Finding, terms: _Terms) -> str:
+    return (
+        f"The noise of the outputs is correlated ({_gain(finding)}), that of {finding.output} by "
+        f"{finding.values[0]:.2g}, as with a common supply or ground: errors and tests are those of such noise."
+    )
+
+
 def _of_hammer_noise(finding: Finding, terms: _Terms) -> str:
     noise, peak = finding.values
     return (
@@ -337,7 +357,8 @@ def _of_input_noise(finding: Finding, terms: _Terms) -> str:
 _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
     Cause.CONSTANT: _of_constant, Cause.DRIFT: _of_drift, Cause.HOLD: _of_hold, Cause.DELAY: _of_delay,
     Cause.POLARITY: _of_polarity, Cause.GAIN_NOISE: _of_gain_noise, Cause.COLOURED_RESIDUALS: _of_coloured_residuals,
-    Cause.HUM: _of_hum, Cause.UNEQUAL_NOISE: _of_unequal_noise,
+    Cause.HUM: _of_hum, Cause.UNEQUAL_NOISE: _of_unequal_noise, Cause.FORCES: _of_forces,
+    Cause.CORRELATED_NOISE: _of_correlated_noise,
     Cause.HAMMER_NOISE: _of_hammer_noise, Cause.SATURATION: _of_saturation, Cause.WILD_LINES: _of_wild_lines,
     Cause.LARGEST_ORDER: _of_largest_order, Cause.FEWER_MODES: _of_fewer_modes, Cause.OUTLIERS: _of_outliers,
     Cause.INPUT_NOISE: _of_input_noise, **dict.fromkeys(REJECTED.values(), _of_rejection),

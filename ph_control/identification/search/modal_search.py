@@ -113,6 +113,8 @@ class FreeFit(Frozen):
         Innovations filter of the noise of each output, with which these rows were made; none where the noise is white.
     crowded : bool
         Whether modes of responses overlap so much that they were found all at once, by a common denominator.
+    beside : FittedNoise or None
+        Noise that outputs share, or that comes through the plant, with which the minimum is a joint one.
     """
 
     projection: FreeProjection
@@ -132,6 +134,7 @@ class FreeFit(Frozen):
     delay_open: bool = False
     noise: tuple[Array, ...] = ()
     crowded: bool = False
+    beside: Any = None
 
     @property
     def per_entry(self) -> bool:
@@ -214,6 +217,7 @@ def free_fit(
     delay: Array | None = None,
     method: str = "exact",
     doubted: bool = True,
+    beside: Callable[..., FreeFit] = lambda fit, orders: fit,
 ) -> FreeFit:
     """Fit modes of any damping and residues to all channels, from nothing or from some poles.
 
@@ -257,6 +261,9 @@ def free_fit(
     doubted : bool
         Whether lines of a response that are far larger than those about them may be left out, where the BIC prefers
         values of their own to modes that explain them.
+    beside : callable, optional
+        Called with the first fit and whether the number of modes is open, to give that in noise of another kind;
+        drifts and delays, which such noise may look like, are then not looked for.
 
     Returns
     -------
@@ -306,6 +313,9 @@ def free_fit(
         fit = _from_peaks(fit, path, search)
     if automatic and real_poles in ("auto", 0) and not fit.interrupted:
         fit = _of_few_lines(fit, path.of_few_lines(), min(max_order, path.carried))
+    fit = fit if fit.interrupted else beside(fit, orders=automatic)
+    if fit.beside is not None:
+        return fit
     return _beside_all_else(fit.with_delay_open(delay is None), search, weighted, offset == "auto")
 
 

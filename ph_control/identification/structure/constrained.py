@@ -19,7 +19,7 @@ from ..._checks import EPS
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..regression.elimination import LinearProjection, tolerance
-from ..regression.free import Delays, FreeProjection, GivenResidues
+from ..regression.free import Delays, FreeProjection, GivenResidues, Sensitivity
 from ..regression.sections import PoleRegion
 from ..regression.triangular import reduced
 from ..regression.tuning import TUNING
@@ -38,9 +38,6 @@ _WEAK = 0.01  # standard errors: a weight so small may be 0
 _LEAST_SIZE = 1e-3  # of the largest: modes of no size do not move
 _ITERATIONS = 60  # before it follows secants
 _FEW = 12  # in the tangent of a free fit, where three are usual
-
-
-_Residual = tuple[int, Array, Array, Array]  # of an output: residual, Jacobian by poles, Jacobian by shared unknowns
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,17 +105,22 @@ class Tangent:
     """Linearised residuals of a free fit about its minimum: they cost no pass over the data."""
 
     def __init__(self, projection: FreeProjection) -> None:
-        self._poles, self._shared, self._parts = projection.pole_parts, projection.shared, list[_Residual]()
-        for output, residual, by_poles, by_shared in GivenResidues(projection, projection.shared).sensitivities():
+        self._poles, self._shared, self._parts = projection.pole_parts, projection.shared, list[Sensitivity]()
+        for outputs, residual, by_poles, by_shared in projection.given(
+            projection.p, projection.shared, projection.sections
+        ).sensitivities():
             R = reduced(np.asfortranarray(np.column_stack([by_poles, by_shared, residual])))
-            self._parts.append((output, R[:, -1], R[:, : 2 * len(projection.p)], R[:, 2 * len(projection.p) : -1]))
+            self._parts.append((outputs, R[:, -1], R[:, : 2 * len(projection.p)], R[:, 2 * len(projection.p) : -1]))
 
     def at(self, p: ComplexArray, shared: Array) -> TangentPoint:
         """The residuals at other poles and residues."""
         moved = np.concatenate([p.imag, p.real]) - self._poles
         return TangentPoint([
-            (output, residual + by_poles @ moved + by_shared @ (shared - self._shared)[:, output], by_poles, by_shared)
-            for output, residual, by_poles, by_shared in self._parts
+            (
+                outputs, residual + by_poles @ moved + by_shared @ (shared - self._shared)[:, outputs].T.ravel(),
+                by_poles, by_shared,
+            )
+            for outputs, residual, by_poles, by_shared in self._parts
         ])  # fmt: skip
 
 
@@ -126,15 +128,15 @@ class Tangent:
 class TangentPoint:
     """Residuals and Jacobians of each output."""
 
-    parts: list[_Residual]
+    parts: list[Sensitivity]
 
     @property
     def loss(self) -> float:
         """Sum of squared residuals."""
         return float(sum(residual @ residual for _, residual, _, _ in self.parts))
 
-    def sensitivities(self) -> Iterator[_Residual]:
-        """Each output with its residual and the Jacobians of this."""
+    def sensitivities(self) -> Iterator[Sensitivity]:
+        """Outputs with their residual and the Jacobians of this."""
         return iter(self.parts)
 
 
@@ -155,7 +157,7 @@ class ConstrainedProjection(LinearProjection):
         if problem.tangent is not None:
             self.data = problem.tangent.at(self.p, shared)
         else:
-            self.data = GivenResidues(FreeProjection(experiments, self.p, start.fed, self.sections), shared)
+            self.data = start.given(self.p, shared, self.sections, experiments)
 
     @property
     def loss(self) -> float:
@@ -167,14 +169,14 @@ class ConstrainedProjection(LinearProjection):
         """Gram matrix of the Jacobian by the coordinates, and half the gradient."""
         size, poles = len(self.x), self._pole_derivatives
         gram, gradient = np.zeros((size, size)), np.zeros(size)
-        for output, residual, by_poles, by_shared in self.data.sensitivities():
-            slopes = self.derivatives(output)
+        for outputs, residual, by_poles, by_shared in self.data.sensitivities():
+            slopes = np.concatenate([self.derivatives(output) for output in outputs])
             # each output depends on its own part of the shapes
             near = np.flatnonzero(slopes.any(axis=0) | poles.any(axis=0))
             J = by_poles @ poles[:, near] + by_shared @ slopes[:, near]
             if self.delays is not None and isinstance(self.data, GivenResidues):
-                near = np.append(near, size - self.delays.count + self.delays.groups[output])
-                J = np.column_stack([J, -self.data.delay_slopes(output)])
+                near = np.append(near, size - self.delays.count + self.delays.groups[outputs[0]])
+                J = np.column_stack([J, -self.data.delay_slopes(outputs[0])])
             gram[np.ix_(near, near)] += J.T @ J
             gradient[near] += J.T @ residual
         held = np.append(~self._problem.free, np.zeros(size - len(self._model), bool))
@@ -363,13 +365,12 @@ def is_crowded(projection: FreeProjection, region: PoleRegion) -> bool:
 def _with_best_sizes(projection: FreeProjection, coordinates: ShapeCoordinates, x: Array) -> Array:
     """Coordinates with each mode as large, with its shape and pole, as explains most of the data."""
     sections, residues, through = coordinates.model(x)
-    data = FreeProjection(projection.experiments, sections.p, projection.fed, sections)
     layout, rows, targets = coordinates.layout, [], []
     modes = [np.where(np.arange(len(residues)) == l, 1.0, 0.0)[:, None, None] * residues for l in range(len(residues))]
     each = [layout.joined(mode, 0 * through, projection.has_feedthrough) for mode in modes]
     rest = layout.joined(0 * residues, through, projection.has_feedthrough)
-    for output, target, _, by_shared in GivenResidues(data, rest).sensitivities():
-        rows.append(np.stack([-by_shared @ mode[:, output] for mode in each], axis=1))
+    for outputs, target, _, by_shared in projection.given(sections.p, rest, sections).sensitivities():
+        rows.append(np.stack([-by_shared @ mode[:, outputs].T.ravel() for mode in each], axis=1))
         targets.append(target)
     sizes = nnls(np.concatenate(rows), np.concatenate(targets))[0]
     least = _LEAST_SIZE * sizes.max(initial=0.0)

@@ -96,8 +96,8 @@ class _Ports:
     def data(self, theta: Array) -> GivenResidues:
         """The data at a model."""
         n = self.n
-        free = FreeProjection(self.projection.experiments, theta[n : 2 * n] + 1j * theta[:n], self.projection.fed)
-        return GivenResidues(free, theta[2 * n :].reshape(self.projection.shared.shape[::-1]).T)
+        shared = theta[2 * n :].reshape(self.projection.shared.shape[::-1]).T
+        return self.projection.given(theta[n : 2 * n] + 1j * theta[:n], shared)
 
     @cached_property
     def _fed(self) -> bool:
@@ -301,9 +301,10 @@ def _gradient(data: GivenResidues) -> Array:
     """Half the gradient of the loss by `theta`."""
     n, width = len(data.p), data.shared.shape[0]
     gradient = np.zeros(2 * n + data.shared.size)
-    for output, residual, by_poles, by_shared in data.sensitivities():
+    for outputs, residual, by_poles, by_shared in data.sensitivities():
         gradient[: 2 * n] += by_poles.T @ residual
-        gradient[2 * n + output * width : 2 * n + (output + 1) * width] += by_shared.T @ residual
+        places = 2 * n + width * np.asarray(outputs)[:, None] + np.arange(width)
+        gradient[places.ravel()] += by_shared.T @ residual
     return gradient
 
 

@@ -1,0 +1,241 @@
+"""Records in noise of every kind: order, errors beside the Cramer-Rao bound, and whether stated intervals hold.
+
+    python -m benchmarks.noise forces --seeds 200        unmeasured forces of 3 and 30 %; 1 x 1, 3 x 1, 4 x 2
+    python -m benchmarks.noise inputs --seeds 200        noise of 5 % on the recorded inputs
+    python -m benchmarks.noise sensors --seeds 200       sensors whose noise is correlated by 0.5 and 0.9
+    python -m benchmarks.noise white --seeds 200         none of these
+    python -m benchmarks.noise ambient --seeds 200       outputs alone
+
+One BLAS thread.  `z2` is the mean squared error over the stated one, `cover` the share of 95 % intervals that hold, of
+frequencies, damping ratios and residues.  The bound is that of the plant's own parameters, from numerical derivatives
+of the spectrum of the record.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.signal import lfilter
+
+import ph_control as phc
+
+STEP = 1.0
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Modes with real shapes, `y' = ...` in velocities: outputs (p, n), measured and unmeasured forces (n, m), (n, f)."""
+
+    w: np.ndarray
+    zeta: np.ndarray
+    shapes: np.ndarray
+    driven: np.ndarray
+    forced: np.ndarray
+
+    @classmethod
+    def random(cls, rng: np.random.Generator, n: int, p: int, m: int, forces: int) -> Frame:
+        """A frame with separate modes, the first input at the first output."""
+        while True:
+            w = np.sort(rng.uniform(0.2, 2.2, n))
+            if n == 1 or np.min(np.diff(w)) > 0.15:
+                break
+        zeta = 10 ** rng.uniform(-2.2, -1.6, n)
+        shapes = rng.standard_normal((max(p, m, forces), n))
+        shapes[np.abs(shapes) < 0.4] = 0.4
+        return cls(w, zeta, shapes[:p], shapes[:m].T, shapes[:forces].T)
+
+    @property
+    def matrices(self) -> tuple[np.ndarray, ...]:
+        """`A`, `B` of measured forces, `C`, `B` of unmeasured forces, continuous."""
+        n = len(self.w)
+        A, C = np.zeros((2 * n, 2 * n)), np.zeros((len(self.shapes), 2 * n))
+        i = np.arange(n)
+        A[2 * i, 2 * i + 1], A[2 * i + 1, 2 * i], A[2 * i + 1, 2 * i + 1] = 1, -self.w**2, -2 * self.zeta * self.w
+        C[:, 1::2] = self.shapes
+        B, F = np.zeros((2 * n, self.driven.shape[1])), np.zeros((2 * n, self.forced.shape[1]))
+        B[1::2], F[1::2] = self.driven, self.forced
+        return A, B, C, F
+
+    @property
+    def sampled(self) -> tuple[np.ndarray, ...]:
+        """One step: `A`, `B` of held inputs, `C`, and the covariance of what white unmeasured forces add."""
+        A, B, C, F = self.matrices
+        n, m = B.shape
+        step = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * STEP)
+        both = expm(np.block([[-A, F @ F.T], [np.zeros((n, n)), A.T]]) * STEP)
+        Ad = step[:n, :n]
+        Q = Ad @ both[:n, n:]
+        return Ad, step[:n, n:], C, 0.5 * (Q + Q.T)
+
+    def outputs(self, u: np.ndarray, rng: np.random.Generator, size: float) -> tuple[np.ndarray, np.ndarray]:
+        """Responses to held inputs (m, T), and to unmeasured forces of a density; both in steady motion."""
+        A, B, C, Q = self.sampled
+        values, V = np.linalg.eig(A)
+        early, T = 2000, u.shape[1]
+        sizes, vectors = np.linalg.eigh(Q)
+        root = vectors * np.sqrt(np.maximum(sizes, 0.0))
+        noise = np.sqrt(size) * root @ rng.standard_normal((len(Q), T + early))
+        held = B @ np.concatenate([rng.standard_normal((len(u), early)), u], axis=1)
+        responses = []
+        for force in (held, noise):
+            modal = np.linalg.solve(V, force)
+            states = np.array([lfilter([0, 1], [1, -value], row) for value, row in zip(values, modal, strict=True)])
+            responses.append((C @ (V @ states).real)[:, early:])
+        return responses[0], responses[1]
+
+    def residues(self) -> np.ndarray:
+        """Residues (n, p, m) at the poles of positive imaginary part."""
+        pole = self.w * (-self.zeta + 1j * np.sqrt(1 - self.zeta**2))
+        factor = pole / (2j * pole.imag)
+        return np.einsum("l,ol,li->loi", factor, self.shapes, self.driven)
+
+
+def spectra(frame: Frame, z: np.ndarray, size: float, sensors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Transfer (bins, p, m) of held inputs, and spectrum (bins, p, p) of the noise."""
+    A, B, C, Q = frame.sampled
+    values, V = np.linalg.eig(A)
+    states = (C @ V)[None] / (z[:, None, None] - values)
+    inner = np.linalg.solve(V, B)
+    Qv = np.linalg.solve(V, np.linalg.solve(V, Q).conj().T).conj().T
+    return states @ inner, size * (states @ Qv @ states.conj().transpose(0, 2, 1)) + sensors
+
+
+def bound(frame: Frame, u: np.ndarray, size: float, sensors: np.ndarray) -> np.ndarray:
+    """Cramer-Rao bound of frequencies and damping ratios (2n,): shapes, forces and variances are unknown as well."""
+    n, p, T = len(frame.w), len(frame.shapes), u.shape[1]
+    k = np.arange(1, (T - 1) // 2)
+    z, U = np.exp(2j * np.pi * k / T), (np.fft.rfft(u)[:, k] / np.sqrt(T)).T if len(u) else np.zeros((len(k), 0))
+    lower = np.tril_indices(p)
+
+    def model(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        parts = np.split(theta, np.cumsum([n, n, p * n, frame.driven.size, frame.forced.size]))
+        now = Frame(parts[0], parts[1], parts[2].reshape(p, n), parts[3].reshape(frame.driven.shape),
+                    parts[4].reshape(frame.forced.shape))  # fmt: skip
+        L = np.zeros((p, p))
+        L[lower] = parts[5]
+        G, S = spectra(now, z, size, L @ L.T)
+        return np.einsum("kpm,km->kp", G, U), S
+
+    root = np.linalg.cholesky(sensors)[lower]
+    theta = np.concatenate([frame.w, frame.zeta, frame.shapes.ravel(), frame.driven.ravel(), frame.forced.ravel(), root])
+    _, S = model(theta)
+    W = np.linalg.inv(np.linalg.cholesky(S))
+    columns = []
+    for j, value in enumerate(theta):
+        e = np.zeros(len(theta))
+        e[j] = 1e-5 * max(abs(value), 1e-3)
+        (up, Su), (down, Sd) = model(theta + e), model(theta - e)
+        mean = np.einsum("kab,kb->ka", W, (up - down) / (2 * e[j])).ravel() * np.sqrt(2)
+        spread = (W @ ((Su - Sd) / (2 * e[j])) @ W.conj().transpose(0, 2, 1)).ravel()
+        columns.append(np.concatenate([mean.real, mean.imag, spread.real, spread.imag]))
+    J = np.array(columns)
+    information = J @ J.T
+    lengths = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse = np.linalg.pinv(information / np.outer(lengths, lengths), rcond=1e-10, hermitian=True)
+    return np.sqrt(np.diag(inverse))[: 2 * n] / lengths[: 2 * n]
+
+
+@dataclass
+class Table:
+    """What many fits of a kind have shown."""
+
+    name: str
+    modes: int
+
+    def __post_init__(self) -> None:
+        self.orders, self.structures, self.findings = Counter(), Counter(), Counter()
+        self.z, self.ratio, self.times = [], [], []
+
+    def add(self, result: phc.PEMResult, frame: Frame, least: np.ndarray, seconds: float, residues: bool = True) -> None:
+        """Add a fit."""
+        self.orders[result.order, len(result.real_poles)] += 1
+        self.structures[result.structure] += 1
+        self.findings.update({finding.cause.name for finding in result.findings})
+        self.times.append(seconds)
+        if result.order != self.modes or len(result.real_poles):
+            return
+        errors = np.concatenate([result.natural_frequencies - frame.w, result.damping_ratios - frame.zeta])
+        stated = np.concatenate([result.stderr["natural_frequencies"], result.stderr["damping_ratios"]])
+        n, z = self.modes, errors / stated
+        parts = [z[:n], z[n:]]
+        if residues:
+            wrong, of = result.residues - frame.residues(), result.stderr["residues"]
+            parts.append(np.concatenate([(wrong.real / of.real).ravel(), (wrong.imag / of.imag).ravel()]))
+        self.z.append(parts)
+        self.ratio.append(errors / least)
+
+    def show(self) -> None:
+        """Print a line."""
+        right = self.orders[self.modes, 0]
+        line = f"{self.name:44s} order {right:3d} of {sum(self.orders.values())}"
+        if self.z:
+            parts = [np.concatenate([np.ravel(z[k]) for z in self.z]) for k in range(len(self.z[0]))]
+            line += "  cover " + "/".join(f"{100 * np.mean(np.abs(part) < 1.96):.1f}" for part in parts)
+            line += "  z2 " + "/".join(f"{np.mean(part**2):.2f}" for part in parts)
+            ratio = np.array(self.ratio)
+            line += "  rms/bound " + "/".join(
+                f"{np.sqrt(np.mean(part**2)):.2f}" for part in (ratio[:, : self.modes], ratio[:, self.modes :])
+            )
+        line += f"  {np.median(self.times):.2f} s"
+        print(line, "\n    ", dict(self.structures), dict(self.findings), dict(self.orders), flush=True)
+
+
+def run(name: str, shape: tuple[int, int, int], seeds: int, T: int = 3000, *, forces: float = 0.0, inputs: float = 0.0,
+        sensors: float = 0.02, correlation: float = 0.0, first: int = 0, **options: object) -> Table:  # fmt: skip
+    """Fit records of random frames: `forces` and `inputs` are sizes (rms) over those of the outputs and inputs."""
+    n, p, m = shape
+    table = Table(name, n)
+    for seed in range(first, first + seeds):
+        rng = np.random.default_rng([seed, 77])
+        frame = Frame.random(rng, n, p, m, p if forces else 0)
+        u = rng.standard_normal((m, T))
+        y, moved = frame.outputs(u, rng, 1.0)
+        size = 0.0
+        if forces:
+            size = forces**2 * float(np.mean(y.var(axis=1)) / np.mean(moved.var(axis=1)))
+            moved = np.sqrt(size) * moved
+        level = sensors * np.sqrt(np.mean((y + moved).var(axis=1)))
+        noise = level**2 * ((1 - correlation) * np.eye(p) + correlation)
+        y = y + moved + np.linalg.cholesky(noise) @ rng.standard_normal(y.shape)
+        seen = u + inputs * rng.standard_normal(u.shape)
+        least = bound(frame, u, size, noise)
+        start = time.process_time()
+        result = phc.pem((seen, y), dt=STEP, quantity="velocity", **options)
+        table.add(result, frame, least, time.process_time() - start)
+    table.show()
+    return table
+
+
+SHAPES = {"1 x 1": (2, 1, 1), "3 x 1": (3, 3, 1), "4 x 2": (4, 4, 2)}
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["forces", "inputs", "sensors", "white"])
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore")
+    how = {"seeds": arguments.seeds, "first": arguments.first}
+    for name, shape in SHAPES.items():
+        if arguments.what == "forces":
+            for share in (0.03, 0.3):
+                run(f"{name}, unmeasured forces of {100 * share:.0f} %", shape, **how, forces=share)
+        elif arguments.what == "inputs":
+            run(f"{name}, noise of the inputs of 5 %", shape, **how, inputs=0.05)
+        elif arguments.what == "sensors" and shape[1] > 1:
+            for correlation in (0.5, 0.9):
+                run(f"{name}, sensors correlated by {correlation}", shape, **how, sensors=0.3, correlation=correlation)
+        elif arguments.what == "white":
+            run(f"{name}, white noise of 2 %", shape, **how)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Noise that comes through the plant: unmeasured forces, sensors that share noise, ambient excitation."""

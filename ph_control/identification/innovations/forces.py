@@ -1,0 +1,364 @@
+"""Noise that outputs share, or that comes through the plant, beside measured inputs: whether it does, and the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.special import chdtrc
+
+from ..._types import Array, ComplexArray
+from ..data.channels import Recording
+from ..regression.free import FreeProjection
+from ..regression.sections import Sections
+from ..regression.time_rows import FreeRecord
+from ..search.circumstances import Cause, Finding
+from ..search.criteria import Criteria
+from ..search.modal_search import FreeFit
+from .joint import JointProjection, Quadratic
+from .minimum import Evaluation, Experiment, Minimum, Point, Problem, minimise
+from .noise_sections import NoiseSections
+
+KINDS = ("correlated", "forces")
+_LEVEL = 1e-3  # probability that white noise of its own at each output looks as if there were more to it
+_SCREEN = 0.05  # of the score test that comes before, whose law holds for long records
+_UNKNOWNS = 600  # at most,
+_NUMBERS = 1 << 28  # and those of a Jacobian: a few seconds a step
+_SPARE = 4  # samples of all outputs for each unknown
+_LEAST_DECAY = 0.05  # bins: noise through a pole that decays more slowly never settles
+_STEPS = 40
+_PATIENCE = 1  # orders without a better criterion
+
+
+@dataclass(frozen=True, eq=False)
+class FittedNoise:
+    """Noise of a fit in innovations form, in units of the data.
+
+    Attributes
+    ----------
+    sections : NoiseSections
+        What it comes through; without gains where it is white.
+    covariance : ndarray, shape (p, p)
+        Of the innovations.
+    unknowns : int
+        Numbers of it beyond the variance of each output.
+    errors : tuple of ndarray
+        Prediction errors (p, T) of each experiment.
+    """
+
+    sections: NoiseSections
+    covariance: Array
+    unknowns: int
+    errors: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, evaluation: Evaluation, scales: Array) -> FittedNoise:
+        """The noise of an evaluation in rows that are `1 / scales` times the data."""
+        noise, p = evaluation.point.noise, len(scales)
+        coloured = evaluation.problem.coloured
+        sections = noise.moved(noise.sections, scales[:, None] * noise.C, noise.K / scales)
+        errors = tuple(
+            np.fft.irfft(errors, experiment.samples) * (np.sqrt(experiment.samples) * scales[:, None])
+            for experiment, errors in zip(evaluation.problem.experiments, evaluation.errors, strict=True)
+        )
+        unknowns = p * (p - 1) // 2 + (noise.unknowns if coloured else 0)
+        return cls(sections, evaluation.covariance * np.outer(scales, scales), unknowns, errors)
+
+    @property
+    def is_coloured(self) -> bool:
+        """Whether it comes through the plant."""
+        return bool(self.sections.K.any())
+
+    @cached_property
+    def correlations(self) -> Array:
+        """Correlations (p, p) of the innovations."""
+        sizes = np.sqrt(np.diag(self.covariance))
+        return np.asarray(self.covariance / np.outer(sizes, sizes))
+
+
+def beside_forces(
+    free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = False, orders: bool = False
+) -> FreeFit:
+    """The fit in noise that outputs share, or that comes through the plant, where white noise is far less likely.
+
+    Parameters
+    ----------
+    free : FreeFit
+        Fit in white noise, or in that of each output.
+    kinds : sequence of {'correlated', 'forces'}
+        What is looked for.
+    certain : bool
+        Whether the last of the `kinds` is taken as given, and not tested.
+    orders : bool
+        Whether the number of modes is open.
+
+    Returns
+    -------
+    FreeFit
+        The same where the test of probability 1e-3 does not object to noise of each output, or where the record does
+        not allow the likelihood: responses, missing samples, poles that do not decay, more unknowns than 600.
+    """
+    try:
+        fitted = _beside_forces(free, kinds, certain, orders)
+    except KeyboardInterrupt:
+        return replace(free, interrupted=True)
+    if fitted is free:
+        return free
+    return fitted.with_rival(lambda rival: _beside_forces(rival, KINDS[-1:] if fitted.beside.is_coloured else KINDS[:1], True))
+
+
+def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: bool = False) -> FreeFit:
+    rows = _rows(free)
+    start = None if rows is None else _start(free, rows, free.projection.p)
+    if start is None:
+        return free
+    alone = _alone(free, *start)
+    best = _likeliest(*start, alone, kinds, certain)
+    if best is None or not np.isfinite(best.evaluation.cost):
+        return free
+    if orders and rows is not None:
+        best = _of_few_modes(free, rows, best)
+    return _in_noise(free, best, alone, certain)
+
+
+def _of_few_modes(free: FreeFit, rows: Sequence[FreeRecord], best: Minimum) -> Minimum:
+    """The minimum with the number of modes that the BIC prefers beside the noise, of those on the way of the search."""
+    lags, worse = free.projection.p[free.projection.p.imag == 0], 0
+    fewest = best
+    for order in sorted(free.order_table, key=lambda row: row.order):
+        if not 0 < order.order < free.order:
+            continue
+        start = _start(free, rows, np.concatenate([order.poles, lags]))
+        if start is None:
+            continue
+        problem, point = start
+        trial = minimise(replace_colour(problem, best.evaluation.problem.coloured), point, steps=_STEPS)
+        worse = 0 if _bic(trial) < _bic(fewest) else worse + 1
+        fewest = min(fewest, trial, key=_bic)
+        if worse > _PATIENCE:
+            break
+    return _of_fewer_modes(fewest)
+
+
+def _likeliest(problem: Problem, point: Point, alone: float, kinds: Sequence[str], certain: bool) -> Minimum | None:
+    """The minimum in the simplest noise that the next wider one does not reject; None for noise of each output."""
+    best: Minimum | None = None
+    p = len(point.noise.C)
+    if "correlated" in kinds and p > 1:
+        white = replace_colour(problem, False)
+        shared = minimise(white, point, steps=_STEPS) if certain or _are_correlated(white.at(point)) else None
+        if shared is not None and (certain or _is_likelier(alone, shared.evaluation.cost, p * (p - 1) // 2)):
+            best = shared
+    if "forces" in kinds and (certain or _score(problem, point) < _SCREEN):
+        forced = minimise(problem, point if best is None else best.evaluation.point, steps=_STEPS)
+        before = alone if best is None else best.evaluation.cost
+        more = point.noise.unknowns + (p * (p - 1) // 2 if best is None else 0)
+        if certain or _is_likelier(before, forced.evaluation.cost, more):
+            best = forced
+    return best
+
+
+def _of_fewer_modes(best: Minimum) -> Minimum:
+    """The minimum without modes that stood for the noise, as long as the BIC falls."""
+    while len(best.evaluation.point.noise.sections.x) > 2:
+        fewer = [_without(best, k) for k in _doubtful(best)]
+        costs = [_bic(minimum) for minimum in fewer]
+        if not costs or min(costs) >= _bic(best):
+            break
+        best = fewer[int(np.argmin(costs))]
+    return best
+
+
+def _bic(minimum: Minimum) -> float:
+    evaluation = minimum.evaluation
+    rows = evaluation.problem.samples * evaluation.p
+    return evaluation.cost + evaluation.unknowns * float(np.log(rows))
+
+
+def _doubtful(best: Minimum) -> list[int]:
+    """Sections whose residues are few standard errors large: at most what the BIC charges for them."""
+    evaluation = best.evaluation
+    point, problem = evaluation.point, evaluation.problem
+    covariance = evaluation.information_inverse()
+    active, n = problem.active, len(point.poles)
+    first = len(point.noise.sections.x) + (2 * point.noise.C.size if problem.coloured else 0)
+    numbers = np.full(active.shape, -1)
+    numbers[active] = first + np.arange(int(active.sum()))
+    charge = float(np.log(problem.samples * evaluation.p))
+    inputs = problem.inputs
+    width, doubtful = len(active) // inputs, []
+    for k, places in enumerate(point.noise.sections.places.tolist()):
+        rows = [width * i + part * n + place for i in range(inputs) for place in set(places) for part in (0, 1)]
+        these = numbers[rows].ravel()
+        values, these = point.shared[rows].ravel()[these >= 0], these[these >= 0]
+        inner = covariance[np.ix_(these, these)]
+        size = float(values @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ values)
+        if size < (2 + len(these) + 4 * evaluation.p) * charge:
+            doubtful.append(k)
+    return doubtful
+
+
+def _without(best: Minimum, section: int) -> Minimum:
+    """The minimum without a section."""
+    evaluation = best.evaluation
+    point, problem = evaluation.point, evaluation.problem
+    k = len(point.noise.sections.decay)
+    kept = np.delete(np.arange(len(point.noise.sections.x)), [section, k + section])
+    sections = Sections.from_coordinates(point.noise.sections.x[kept])
+    states = np.delete(np.arange(point.noise.states), [2 * section, 2 * section + 1])
+    noise = replace(
+        point.noise, sections=sections, references=np.delete(point.noise.references, section),
+        C=point.noise.C[:, states], K=point.noise.K[states],
+    )  # fmt: skip
+    rows = [part for experiment in problem.experiments for part in experiment.rows]
+    start = FreeProjection(rows, sections.p, problem.fed, sections)
+    fewer = Problem(problem.experiments, start.shown, problem.coloured, problem.fed)
+    return minimise(fewer, Point(noise, start.shared, tuple(start.own)), steps=_STEPS)
+
+
+def replace_colour(problem: Problem, coloured: bool) -> Problem:
+    """The same data with noise that comes through the plant, or not."""
+    return Problem(problem.experiments, problem.active, coloured, problem.fed)
+
+
+def _rows(free: FreeFit) -> Sequence[FreeRecord] | None:
+    """Rows of the data as they are; None where they do not allow the likelihood."""
+    if free.per_entry or free.rounding or free.interrupted or not free.states or free.method != "exact":
+        return None
+    projection = free.projection if free.measured is None else free.measured
+    rows = [record for record in projection.experiments if isinstance(record, FreeRecord)]
+    return rows if projection.inputs and len(rows) == len(projection.experiments) else None
+
+
+def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> tuple[Problem, Point] | None:
+    """The data and a model of some poles without forces; None where the likelihood would take too long."""
+    x = Sections.of(p).x
+    k = len(x) // 2
+    least = _LEAST_DECAY * rows[0].bin
+    x[:k], x[2 * k :] = np.maximum(x[:k], least), np.maximum(x[2 * k :], least)
+    sections = Sections.from_coordinates(x)
+    if np.any(-sections.p.real < 0.5 * least):
+        return None
+    fed = free.projection.fed
+    size = _unknowns(rows, sections, len(free.scales))
+    count = sum(record.samples * len(record.outputs) for record in rows)
+    if size > _UNKNOWNS or size * count > _NUMBERS or count < _SPARE * size:
+        return None
+    projection = FreeProjection(rows, sections.p, fed, sections)
+    experiments = experiments_of(projection, free.channels)
+    if experiments is None:
+        return None
+    point = Point(initial_noise(projection, rows[0].hold.h), projection.shared, tuple(projection.own))
+    return Problem(experiments, projection.shown, fed=fed), point
+
+
+def _unknowns(rows: Sequence[FreeRecord], sections: Sections, outputs: int) -> int:
+    """Numbers of a model, at most."""
+    n, inputs = len(sections.p), max(record.inputs for record in rows)
+    own = sum(record.own_unknowns(n) * len(record.outputs) for record in rows)
+    return len(sections.x) * (1 + 2 * outputs) + inputs * (2 * n + 1) * outputs + own
+
+
+def experiments_of(projection: FreeProjection, channels: Sequence[Recording]) -> list[Experiment] | None:
+    """Records in Fourier bins, each with all outputs; None where samples are missing, or outputs begin apart."""
+    experiments, rows = [], list(projection.experiments)
+    for channel in channels:
+        parts = list[FreeRecord]()
+        while sum(len(part.outputs) for part in parts) < len(channel.output_labels):
+            if not rows or not isinstance(rows[0], FreeRecord) or not rows[0].complete:
+                return None
+            parts.append(rows.pop(0))
+        if len({part.length for part in parts}) > 1:
+            return None
+        experiments.append(Experiment.of_rows(parts))
+    return experiments
+
+
+def initial_noise(projection: FreeProjection, step: float) -> NoiseSections:
+    """Noise without forces, on sections whose states outputs see as they see the modes that inputs drive."""
+    sections = projection.sections
+    k, outputs = len(sections.decay), projection.shared.shape[1]
+    shapes = np.linalg.svd(projection.residues, full_matrices=False)[0][:, :, 0]
+    slow, fast = sections.places.T
+    overdamped = (slow != fast)[:, None]
+    C = np.zeros((outputs, 2 * k + len(sections.rates)))
+    C[:, 0 : 2 * k : 2] = np.where(overdamped, shapes[slow].real + shapes[fast].real, shapes[fast].real).T
+    C[:, 1 : 2 * k : 2] = np.where(overdamped, shapes[slow].real - shapes[fast].real, shapes[fast].imag).T
+    C[:, 2 * k :] = shapes[sections.single].real.T
+    return NoiseSections(sections, step, np.sqrt(np.abs(sections.square)), C, np.zeros(C.shape[::-1]))
+
+
+def _alone(free: FreeFit, problem: Problem, point: Point) -> float:
+    """Twice the negative log-likelihood of noise of each output alone, in the units of the rows."""
+    if free.noise:
+        return -2 * (free.criteria.loglik + problem.samples * float(np.sum(np.log(free.scales))))
+    variances = np.diag(replace_colour(problem, False).at(point).covariance)
+    return float(problem.samples * np.sum(np.log(variances) + 1 + np.log(2 * np.pi)))
+
+
+def _are_correlated(white: Evaluation) -> bool:
+    """Whether residuals of different outputs go together at the same sample."""
+    sizes = np.sqrt(np.diag(white.covariance))
+    determinant = np.linalg.slogdet(white.covariance / np.outer(sizes, sizes))[1]
+    p = len(sizes)
+    return bool(chdtrc(p * (p - 1) // 2, -white.problem.samples * determinant) < _SCREEN)
+
+
+def _score(problem: Problem, point: Point) -> float:
+    """Probability of what one step of the gains promises, all other numbers moving along, if noise is white."""
+    evaluation, noise = problem.at(point), point.noise
+    gram, gradient = evaluation.normal
+    first = len(noise.sections.x)
+    gains = np.arange(first + noise.C.size, first + noise.C.size + noise.K.size)
+    others = np.setdiff1d(np.arange(len(gram)), np.arange(first, gains[-1] + 1))
+    lengths = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+    gram, gradient = gram / np.outer(lengths, lengths), gradient / lengths
+    # where others are not at their best among themselves, that is no sign of forces
+    moved = np.linalg.pinv(gram[np.ix_(others, others)], rcond=1e-12, hermitian=True) @ gram[np.ix_(others, gains)]
+    inner = gram[np.ix_(gains, gains)] - gram[np.ix_(gains, others)] @ moved
+    slope = gradient[gains] - moved.T @ gradient[others]
+    ratio = float(slope @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ slope)
+    return float(chdtrc(len(gains), ratio))
+
+
+def _is_likelier(before: float, after: float, more: int) -> bool:
+    return bool(np.isfinite(after) and chdtrc(more, max(0.0, before - after)) < _LEVEL)
+
+
+def _in_noise(free: FreeFit, best: Minimum, alone: float, certain: bool) -> FreeFit:
+    """The fit in a noise, and what is told of it."""
+    evaluation = best.evaluation
+    point, samples, p = evaluation.point, evaluation.problem.samples, len(free.scales)
+    noise = FittedNoise.of(evaluation, free.scales)
+    known = free.projection if free.measured is None else free.measured
+    projection = FreeProjection(known.experiments, point.poles, known.fed, point.noise.sections)
+    unknowns = projection.unknowns + noise.unknowns
+    joint = JointProjection(projection, point.shared, Quadratic.of(best), unknowns)
+    loglik = -0.5 * evaluation.cost - samples * float(np.sum(np.log(free.scales)))
+    criteria = Criteria.of(loglik, unknowns + p, float(samples * p))
+    if not certain and free.noise and free.criteria.bic <= criteria.bic:
+        return free
+    finding = _finding(free, noise, evaluation, 0.5 * (alone - evaluation.cost))
+    of_noise = (Cause.COLOURED_NOISE, Cause.INPUT_NOISE, Cause.COLOURED_RESIDUALS)
+    others = tuple(each for each in free.findings if each.cause not in of_noise)
+    return replace(
+        free, projection=joint, unknowns=unknowns, criteria=criteria, findings=(*others, finding), measured=None, noise=(),
+        beside=noise, delay_open=False,
+    )  # fmt: skip
+
+
+def _finding(free: FreeFit, noise: FittedNoise, evaluation: Evaluation, gain: float) -> Finding:
+    """What is told of the noise: of forces their share of each output, or which outputs share noise."""
+    labels = free.channels[0].output_labels
+    if noise.is_coloured:
+        squares, noises = np.zeros((2, len(labels)))
+        for experiment, left in zip(evaluation.problem.experiments, evaluation.left, strict=True):
+            moving = experiment.counts * (experiment.z != 1)
+            squares += np.abs(experiment.Y) ** 2 @ moving
+            noises += np.abs(left) ** 2 @ moving
+        return Finding(Cause.FORCES, tuple(np.sqrt(noises / squares).tolist()), gain)
+    apart = np.triu(noise.correlations, 1)
+    a, b = np.unravel_index(int(np.argmax(np.abs(apart))), apart.shape)
+    return Finding(Cause.CORRELATED_NOISE, (float(apart[a, b]),), gain, f"{labels[a]}, {labels[b]}")

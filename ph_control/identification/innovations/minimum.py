@@ -1,0 +1,406 @@
+"""The minimum of the prediction errors over plant and noise together.
+
+    y = G u + free motion + H e,    e ~ N(0, Sigma):    minimise log det of the mean of e e^T,  e = H^{-1} (y - ...)
+
+in Fourier bins of the whole record, where `H` is a matrix for each bin.  What a record's ends leave of the filters is
+free motion of the predictor, which free motions of each output, or those of the states, take up: so the bins say what
+the samples say, to rounding.  Poles, residues, free motions, `C` and `K` move together (Gauss-Newton, with Levenberg's
+damping); the covariance is the one that the prediction errors have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from ..._checks import EPS
+from ..._types import Array, ComplexArray, Indices, Mask
+from ..regression.free import places_of
+from ..regression.sections import Sections
+from ..regression.time_rows import FreeRecord
+from .noise_sections import NoiseSections
+
+_AT_A_TIME = 1 << 22  # numbers of a Jacobian
+_STEPS = 60
+_APART = 1e-4  # of their distance from 0: so near to one another poles of a section come
+_GROWTH, _LARGEST_DAMPING = 4.0, 1e8
+
+
+@dataclass(frozen=True, eq=False)
+class DrivenPart:
+    """Outputs of one experiment that share their columns, in Fourier bins: see `FreeRecord`.
+
+    `columns` (c, bins) are those of the own and of the shared unknowns, `derivatives` those by the poles.
+    """
+
+    rows: FreeRecord
+    columns: ComplexArray
+    derivatives: ComplexArray
+    own: int
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Outputs (p, T) of an experiment in Fourier bins, and the rows of what is driven or moves freely, if any."""
+
+    z: ComplexArray
+    counts: Array
+    Y: ComplexArray
+    rows: tuple[FreeRecord, ...] = ()
+
+    @classmethod
+    def of_outputs(cls, y: Array, rows: Sequence[FreeRecord] = ()) -> Experiment:
+        """An experiment with outputs (p, T)."""
+        T = y.shape[1]
+        bins = np.arange(T // 2 + 1)
+        counts = np.where((bins == 0) | (2 * bins == T), 1.0, 2.0)
+        return cls(np.exp(2j * np.pi * bins / T), counts, np.fft.rfft(y) / np.sqrt(T), tuple(rows))
+
+    @classmethod
+    def of_rows(cls, rows: Sequence[FreeRecord]) -> Experiment:
+        """An experiment with the outputs of some rows, all of the same samples."""
+        y = np.empty((1 + max(int(part.outputs.max()) for part in rows), rows[0].length))
+        for part in rows:
+            y[part.outputs] = part.measured
+        return cls.of_outputs(y, rows)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples of each output."""
+        return int(self.counts.sum())
+
+    def parts(self, p: ComplexArray) -> list[DrivenPart]:
+        """Columns for modes with these poles."""
+        parts, n = [], len(p)
+        for rows in self.rows:
+            columns = np.concatenate(list(rows.at(p).blocks()), axis=1)
+            spectra = np.fft.rfft(columns[: len(columns) - len(rows.outputs)]) / np.sqrt(rows.length)
+            own = rows.own_unknowns(n)
+            width = own + len(places_of(rows, n))
+            parts.append(DrivenPart(rows, spectra[:width], spectra[width:], own))
+        return parts
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A model: noise, numbers `shared` (width, p) by all experiments, and those of each of these.
+
+    `own` are those of each part of rows, (unknowns, its outputs); `states` the motions of the predictor at the start,
+    (N,) of each experiment, where there are no rows.
+    """
+
+    noise: NoiseSections
+    shared: Array
+    own: tuple[Array, ...] = ()
+    states: tuple[Array, ...] = ()
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles of the plant."""
+        return self.noise.sections.p
+
+
+class Problem:
+    """Prediction errors of experiments, of the numbers that are `active` (width, p) among the shared ones.
+
+    `coloured` says whether noise comes through the plant; else it is white, with any covariance.
+    """
+
+    def __init__(
+        self, experiments: Sequence[Experiment], active: Mask, coloured: bool = True, fed: Mask | None = None
+    ) -> None:
+        self.experiments, self.active, self.coloured, self.fed = tuple(experiments), active, coloured, fed
+        self.samples = sum(experiment.samples for experiment in experiments)
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        rows = [part for experiment in self.experiments for part in experiment.rows]
+        return max((int(part.acting.max(initial=-1)) + 1 for part in rows), default=0)
+
+    def at(self, point: Point) -> Evaluation:
+        """The prediction errors of a model."""
+        return Evaluation(self, point)
+
+    def _of_the_same_kind(self, sections: Sections, before: Sections) -> Sections:
+        """Sections whose poles are complex or real as before, where numbers belong to each of these."""
+        if not len(self.active) or sections.keeps_kinds(before):
+            return sections
+        least = (_APART * np.maximum(np.abs(sections.decay), np.sqrt(np.abs(before.square)))) ** 2
+        square = np.where(before.square > 0, np.maximum(sections.square, least), np.minimum(sections.square, -least))
+        return Sections.from_coordinates(np.concatenate([sections.decay, square, sections.rates]))
+
+    def vector(self, point: Point) -> Array:
+        """Numbers that move."""
+        noise = [point.noise.C.ravel(), point.noise.K.ravel()] if self.coloured else []
+        return np.concatenate([
+            point.noise.sections.x, *noise, point.shared[self.active], *(own.ravel() for own in point.own), *point.states
+        ])  # fmt: skip
+
+    def point(self, values: Array, like: Point) -> Point:
+        """The model with these numbers."""
+        noise, place = like.noise, 0
+
+        def take(shape: tuple[int, ...]) -> Array:
+            nonlocal place
+            size = int(np.prod(shape))
+            place += size
+            return values[place - size : place].reshape(shape)
+
+        sections = self._of_the_same_kind(Sections.from_coordinates(take(noise.sections.x.shape)), noise.sections)
+        C, K = (take(noise.C.shape), take(noise.K.shape)) if self.coloured else (noise.C, noise.K)
+        shared = np.zeros(like.shared.shape)
+        shared[self.active] = take((int(self.active.sum()),))
+        own = tuple(take(part.shape) for part in like.own)
+        states = tuple(take(part.shape) for part in like.states)
+        return Point(noise.moved(sections, C, K), shared, own, states)
+
+
+class Evaluation:
+    """The prediction errors of a model, their covariance, and how they depend on its numbers."""
+
+    def __init__(self, problem: Problem, point: Point) -> None:
+        self.problem, self.point = problem, point
+        self.p = len(point.noise.C)
+        self.parts = [experiment.parts(point.poles) for experiment in problem.experiments]
+
+    @cached_property
+    def left(self) -> list[ComplexArray]:
+        """Noise (p, bins) of each experiment: outputs less what the plant makes of inputs and first states."""
+        noises, own = [], iter(self.point.own)
+        states = iter(self.point.states)
+        for experiment, parts in zip(self.problem.experiments, self.parts, strict=True):
+            V = experiment.Y.copy()
+            for part in parts:
+                shared = self.point.shared[np.ix_(places_of(part.rows, len(self.point.poles)), part.rows.outputs)]
+                V[part.rows.outputs] -= np.concatenate([next(own), shared]).T @ part.columns
+            if not parts and self.point.states:
+                V -= self._motion(experiment, next(states))
+            noises.append(V)
+        return noises
+
+    def _motion(self, experiment: Experiment, state: Array) -> ComplexArray:
+        noise, z = self.point.noise, experiment.z
+        start = np.broadcast_to(state[:, None] * z / np.sqrt(experiment.samples), (len(state), len(z)))
+        return np.asarray(noise.C @ noise.resolve(z, start))
+
+    @cached_property
+    def errors(self) -> list[ComplexArray]:
+        """Prediction errors (p, bins) of each experiment."""
+        if not self.problem.coloured:
+            return self.left
+        return [
+            np.linalg.solve(self._transfer(experiment.z), V.T[:, :, None])[:, :, 0].T
+            for experiment, V in zip(self.problem.experiments, self.left, strict=True)
+        ]
+
+    def _transfer(self, z: ComplexArray) -> ComplexArray:
+        """Transfer `H` of each bin (bins, p, p)."""
+        noise = self.point.noise
+        return np.eye(self.p) + noise.outputs_of_states(z) @ noise.K
+
+    @property
+    def unknowns(self) -> int:
+        """Numbers that move, less those of bases, and of the covariance."""
+        noise = self.point.noise.states if self.problem.coloured else 0
+        return len(self.problem.vector(self.point)) - noise + self.p * (self.p + 1) // 2
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance (p, p) of the prediction errors."""
+        total = np.zeros((self.p, self.p))
+        for experiment, errors in zip(self.problem.experiments, self.errors, strict=True):
+            total += ((errors * experiment.counts) @ errors.conj().T).real
+        return total / self.problem.samples
+
+    @cached_property
+    def cost(self) -> float:
+        """Twice the negative logarithm of the likelihood; infinite where the predictor does not forget."""
+        if self.problem.coloured and not self.point.noise.is_stable:
+            return np.inf
+        sign, size = np.linalg.slogdet(self.covariance)
+        if not (sign > 0 and np.isfinite(size)):
+            return np.inf
+        return float(self.problem.samples * (size + self.p * (1 + np.log(2 * np.pi))))
+
+    def _jacobians(self) -> Iterator[tuple[ComplexArray, ComplexArray, Array]]:
+        """Blocks of bins: errors of covariance 1 (rows,), their Jacobian (rows, P), and what each row counts."""
+        noise, problem = self.point.noise, self.problem
+        root = np.linalg.cholesky(self.covariance)
+        width = len(problem.vector(self.point))
+        every = max(1, _AT_A_TIME // (width * self.p))
+        for place, (experiment, errors) in enumerate(zip(problem.experiments, self.errors, strict=True)):
+            for first in range(0, len(experiment.z), every):
+                bins = slice(first, first + every)
+                z, e = experiment.z[bins], errors[:, bins]
+                W = np.broadcast_to(np.eye(self.p), (len(z), self.p, self.p))
+                seen = None
+                if problem.coloured:
+                    seen = noise.outputs_of_states(z)
+                    W = np.linalg.inv(np.eye(self.p) + seen @ noise.K)
+                W = solve_triangular(root, W.transpose(1, 0, 2).reshape(self.p, -1), lower=True)
+                W = W.reshape(self.p, len(z), self.p).transpose(1, 0, 2)
+                J = np.zeros((len(z), self.p, width), complex)
+                self._fill(J, place, bins, z, W, e, seen)
+                rows = solve_triangular(root, e, lower=True).T
+                counts = np.repeat(experiment.counts[bins], self.p)
+                yield rows.ravel(), J.reshape(-1, width), counts
+
+    def _fill(
+        self, J: ComplexArray, place: int, bins: slice, z: ComplexArray, W: ComplexArray, e: ComplexArray,
+        seen: ComplexArray | None,
+    ) -> None:  # fmt: skip
+        """Derivatives of whitened errors of some bins by all numbers."""
+        noise, problem, sections = self.point.noise, self.problem, self.point.noise.sections
+        column = len(sections.x)
+        if seen is not None:
+            states = noise.resolve(z, np.asarray(noise.K @ e))
+            through = W @ seen
+            for k, (first, block) in enumerate(noise.slopes):
+                these = slice(first, first + len(block))
+                J[:, :, k] -= np.einsum("bpn,nb->bp", through[:, :, these], block @ states[these])
+            N = noise.states
+            of_C = W[:, :, :, None] * states.T[:, None, None, :]
+            J[:, :, column : column + self.p * N] = -of_C.reshape(len(z), self.p, -1)
+            column += self.p * N
+            of_K = through[:, :, :, None] * e.T[:, None, None, :]
+            J[:, :, column : column + N * self.p] = -of_K.reshape(len(z), self.p, -1)
+            column += N * self.p
+        self._fill_driven(J, place, bins, W, column)
+        if not self.parts[place] and self.point.states:
+            first = J.shape[2] - (len(problem.experiments) - place) * noise.states
+            start = z / np.sqrt(problem.experiments[place].samples)
+            if seen is not None:
+                J[:, :, first : first + noise.states] = -through * start[:, None, None]
+
+    def _fill_driven(self, J: ComplexArray, place: int, bins: slice, W: ComplexArray, column: int) -> None:
+        """Derivatives by poles of the plant, shared numbers, and those of the experiment."""
+        n, sections, active = len(self.point.poles), self.point.noise.sections, self.problem.active
+        numbers = np.full(active.shape, -1)
+        numbers[active] = column + np.arange(int(active.sum()))
+        column += int(active.sum())
+        own = 0
+        for k, parts in enumerate(self.parts):
+            for part in parts:
+                mine = self.point.own[own]
+                own += 1
+                if k == place:
+                    self._fill_part(J, part, mine, bins, W, numbers, column)
+                    J[:, :, : len(sections.x)] -= self._slopes(part, mine, bins, W, n) @ sections.pole_slopes
+                column += mine.size
+
+    def _fill_part(
+        self, J: ComplexArray, part: DrivenPart, mine: Array, bins: slice, W: ComplexArray, numbers: Indices, column: int
+    ) -> None:  # fmt: skip
+        F, outputs = part.columns[:, bins].T, part.rows.outputs
+        places = places_of(part.rows, len(self.point.poles))
+        for k, output in enumerate(outputs.tolist()):
+            along = -W[:, :, output, None]
+            J[:, :, column + np.arange(len(mine)) * len(outputs) + k] = along * F[:, None, : part.own]
+            number = numbers[places, output]
+            J[:, :, number[number >= 0]] = along * F[:, None, part.own :][:, :, number >= 0]
+
+    def _slopes(self, part: DrivenPart, mine: Array, bins: slice, W: ComplexArray, n: int) -> ComplexArray:
+        """Derivatives of whitened outputs by imaginary, then real parts of the poles."""
+        D, total = part.derivatives[:, bins], np.zeros((W.shape[0], self.p, 2 * n), complex)
+        for k, output in enumerate(part.rows.outputs.tolist()):
+            residues = self._residues(output)
+            amplitudes = [mine[:n, k] + 1j * mine[n : 2 * n, k]] if part.rows.moving else []
+            amplitudes += list(residues.T[part.rows.acting])
+            slopes = np.zeros((2 * n, D.shape[1]), complex)
+            for i, amplitude in enumerate(amplitudes):
+                first, second = D[2 * i * n : (2 * i + 1) * n], D[(2 * i + 1) * n : (2 * i + 2) * n]
+                slopes[n:] += first * amplitude.real[:, None] + second * amplitude.imag[:, None]
+                slopes[:n] += second * amplitude.real[:, None] - first * amplitude.imag[:, None]
+            total += W[:, :, output, None] * slopes.T[:, None, :]
+        return total
+
+    def _residues(self, output: int) -> ComplexArray:
+        """Residues (n, inputs) of an output."""
+        n, width = len(self.point.poles), self.point.shared.shape[0]
+        inputs = self.problem.inputs
+        each = self.point.shared[:, output].reshape(inputs, width // max(1, inputs))
+        return np.asarray((each[:, :n] + 1j * each[:, n : 2 * n]).T)
+
+    @cached_property
+    def normal(self) -> tuple[Array, Array]:
+        """Gram matrix of the Jacobian of errors of covariance 1, and half the gradient."""
+        size = len(self.problem.vector(self.point))
+        gram, gradient = np.zeros((size, size)), np.zeros(size)
+        for errors, J, counts in self._jacobians():
+            weighted = J.conj().T * counts
+            gradient += (weighted @ errors).real
+            both = np.concatenate([J.real, J.imag]) * np.sqrt(np.tile(counts, 2))[:, None]
+            gram += both.T @ both
+        return gram, gradient
+
+    @cached_property
+    def bases(self) -> Array:
+        """Directions among all numbers that change nothing but the bases of the noise's states."""
+        size, N = len(self.problem.vector(self.point)), self.point.noise.states
+        if not self.problem.coloured:
+            return np.zeros((size, 0))
+        bases, first = np.zeros((size, N)), len(self.point.noise.sections.x)
+        inner = self.point.noise.bases
+        bases[first : first + len(inner)] = inner
+        return bases
+
+    def scaled_normal(self) -> tuple[Array, Array, Array]:
+        """Gram matrix with unit diagonal that is regular in the free bases, gradient, and the lengths of columns."""
+        gram, gradient = self.normal
+        lengths = np.sqrt(np.maximum(np.diag(gram), 0.0))
+        lengths = np.where(lengths > 0, lengths, 1.0)
+        null = self.bases * lengths[:, None]
+        null = np.linalg.qr(null)[0] if null.shape[1] else null
+        return gram / np.outer(lengths, lengths) + null @ null.T, gradient / lengths, lengths
+
+    def information_inverse(self) -> Array:
+        """Covariance of all numbers: of what does not depend on the bases of the states."""
+        gram, _, lengths = self.scaled_normal()
+        null = self.bases * lengths[:, None]
+        null = np.linalg.qr(null)[0] if null.shape[1] else null
+        inverse = np.linalg.pinv(gram, rcond=len(gram) * EPS * 100, hermitian=True) - null @ null.T
+        return np.asarray(inverse / np.outer(lengths, lengths))
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Where a minimisation ended."""
+
+    evaluation: Evaluation
+    converged: bool
+    steps: int
+
+
+def minimise(problem: Problem, start: Point, tolerance: float = 1e-3, steps: int = _STEPS) -> Minimum:
+    """Go down to a minimum: until a step lowers twice the negative log-likelihood by less than `tolerance`."""
+    best, damping = problem.at(start), 1e-3
+    taken = 0
+    if not np.isfinite(best.cost):
+        return Minimum(best, False, 0)
+    while taken < steps:
+        gram, gradient, lengths = best.scaled_normal()
+        x = problem.vector(best.point)
+        while True:
+            factor = cho_factor(gram + damping * np.eye(len(gram)))
+            step = -cho_solve(factor, gradient) / lengths
+            trial = problem.at(problem.point(x + step, best.point))
+            if trial.cost < best.cost:
+                break
+            damping *= _GROWTH
+            if damping > _LARGEST_DAMPING:
+                return Minimum(best, True, taken)
+        gain = best.cost - trial.cost
+        best, damping, taken = trial, max(damping / (2 * _GROWTH), 1e-9), taken + 1
+        if gain < tolerance:
+            return Minimum(best, True, taken)
+    return Minimum(best, False, taken)
+
+
+def with_noise(point: Point, noise: NoiseSections) -> Point:
+    """The same model with another noise."""
+    return replace(point, noise=noise)

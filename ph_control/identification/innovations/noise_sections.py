@@ -1,0 +1,164 @@
+"""Noise in innovations form: `H(z) = 1 + C (z - A)^{-1} K`, with the sections of the plant in `A`.
+
+White forces of any number on a plant, with white noise of its sensors that may be correlated, have the spectrum
+`H Sigma H^*` with `Sigma` the covariance of what the past of the outputs does not foretell.  `K` is the Kalman gain of
+the predictor, whose poles are those of `A - K C`.  A section is `exp(h [[-decay, w], [-square / w, -decay]])` with a
+reference `w` of its own: smooth through critical damping.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..._types import Array, ComplexArray
+from ..regression.sections import Sections
+
+_NEAR = 1e-4  # square of an angle below which a series has all digits
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseSections:
+    """Sections that noise comes through, from innovations (p,) to outputs (p,).
+
+    Attributes
+    ----------
+    sections : Sections
+        Of k pairs of poles, and one first-order section or none: N = 2 k + 1 or 2 k states.
+    step : float
+        Time between samples.
+    references : ndarray, shape (k,)
+        Frequency that scales the second state of each section.
+    C : ndarray, shape (p, N)
+        What outputs see of the states.
+    K : ndarray, shape (N, p)
+        Kalman gain of the predictor.
+    """
+
+    sections: Sections
+    step: float
+    references: Array
+    C: Array
+    K: Array
+
+    @property
+    def states(self) -> int:
+        """Number of states N."""
+        return self.C.shape[1]
+
+    @property
+    def pairs(self) -> int:
+        """Number of second-order sections."""
+        return len(self.sections.decay)
+
+    @property
+    def unknowns(self) -> int:
+        """Numbers in `C` and `K` but for the bases of the sections, which are free."""
+        return 2 * self.C.size - self.states
+
+    @cached_property
+    def _turn(self) -> tuple[Array, Array, Array, Array]:
+        """Of each section `cos(r h)` and `sin(r h) / r`, `r` the root of its square; derivatives by the square."""
+        q, h = self.sections.square, self.step
+        root = np.sqrt(np.abs(q))
+        angle = root * h
+        near = angle**2 < _NEAR
+        safe = np.where(near, 1.0, root)
+        cosine = np.where(q > 0, np.cos(angle), np.cosh(np.minimum(angle, 700.0)))
+        sine = np.where(q > 0, np.sin(angle), np.sinh(np.minimum(angle, 700.0))) / safe
+        sine = np.where(near, h * (1 - q * h**2 / 6 * (1 - q * h**2 / 20)), sine)
+        by_square = np.where(near, -(h**3) / 6 * (1 - q * h**2 / 10), (h * cosine - sine) / (2 * np.where(near, 1.0, q)))
+        return cosine, sine, -0.5 * h * sine, by_square
+
+    @cached_property
+    def blocks(self) -> Array:
+        """Blocks (k, 2, 2) of `A`."""
+        cosine, sine, *_ = self._turn
+        return self._in_blocks(cosine, sine, self.sections.square)
+
+    def _in_blocks(self, cosine: Array, sine: Array, square: Array) -> Array:
+        growth = np.exp(-self.sections.decay * self.step)
+        rows = [[cosine, self.references * sine], [-square / self.references * sine, cosine]]
+        return np.moveaxis(growth * np.array(rows), 2, 0)
+
+    @cached_property
+    def slopes(self) -> list[tuple[int, Array]]:
+        """Derivatives of `A` by the coordinates of the sections: first state and block of each."""
+        cosine, sine, cosine_by, sine_by = self._turn
+        growth, w, q = np.exp(-self.sections.decay * self.step), self.references, self.sections.square
+        by_square = self._in_blocks(cosine_by, sine_by, q)
+        by_square[:, 1, 0] -= growth * sine / w
+        each = [(2 * k, -self.step * block) for k, block in enumerate(self.blocks)]
+        each += [(2 * k, block) for k, block in enumerate(by_square)]
+        rates = self.sections.rates
+        return each + [(2 * self.pairs + k, np.array([[-self.step * np.exp(-r * self.step)]])) for k, r in enumerate(rates)]
+
+    @cached_property
+    def A(self) -> Array:
+        """Matrix (N, N) of the states."""
+        A = np.zeros((self.states, self.states))
+        for k, block in enumerate(self.blocks):
+            A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
+        for k, rate in enumerate(self.sections.rates):
+            A[2 * self.pairs + k, 2 * self.pairs + k] = np.exp(-rate * self.step)
+        return A
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether the predictor forgets."""
+        return not self.states or bool(np.abs(np.linalg.eigvals(self.A - self.K @ self.C)).max() < 1)
+
+    def resolve(self, z: ComplexArray, values: ComplexArray) -> ComplexArray:
+        """States `(z - A)^{-1} values`, of values (N, ..., bins)."""
+        k, resolved = self.pairs, np.empty(values.shape, complex)
+        first, second = values[0 : 2 * k : 2], values[1 : 2 * k : 2]
+        shape = (k, *(1,) * (values.ndim - 1))
+        a, b, c = (self.blocks[:, i, j].reshape(shape) for i, j in ((0, 0), (0, 1), (1, 0)))
+        over = 1.0 / ((z - a) ** 2 - b * c)
+        resolved[0 : 2 * k : 2] = ((z - a) * first + b * second) * over
+        resolved[1 : 2 * k : 2] = ((z - a) * second + c * first) * over
+        for row in range(2 * k, self.states):
+            resolved[row] = values[row] / (z - self.A[row, row])
+        return resolved
+
+    def outputs_of_states(self, z: ComplexArray) -> ComplexArray:
+        """Transfer `C (z - A)^{-1}`, shape (bins, p, N)."""
+        k, p = self.pairs, len(self.C)
+        transfer = np.empty((len(z), p, self.states), complex)
+        z = z[:, None, None]
+        a, b, c = (self.blocks[:, i, j] for i, j in ((0, 0), (0, 1), (1, 0)))
+        over = 1.0 / ((z - a) ** 2 - b * c)
+        first, second = self.C[:, 0 : 2 * k : 2], self.C[:, 1 : 2 * k : 2]
+        transfer[:, :, 0 : 2 * k : 2] = ((z - a) * first + c * second) * over
+        transfer[:, :, 1 : 2 * k : 2] = ((z - a) * second + b * first) * over
+        for row in range(2 * k, self.states):
+            transfer[:, :, row] = self.C[:, row] / (z[:, 0] - self.A[row, row])
+        return transfer
+
+    @cached_property
+    def bases(self) -> Array:
+        """Directions in `(C, K)` that change the bases of the states alone, orthonormal columns (2 p N, N)."""
+        directions = []
+        for first, block in self._commuting():
+            place = slice(first, first + len(block))
+            C, K = np.zeros(self.C.shape), np.zeros(self.K.shape)
+            C[:, place], K[place] = self.C[:, place] @ block, -block @ self.K[place]
+            directions.append(np.concatenate([C.ravel(), K.ravel()]))
+        if not directions:
+            return np.zeros((2 * self.C.size, 0))
+        return np.asarray(np.linalg.qr(np.array(directions).T)[0])
+
+    def _commuting(self) -> Iterator[tuple[int, Array]]:
+        """Matrices that commute with each block."""
+        for k, w in enumerate(self.references):
+            yield 2 * k, np.eye(2)
+            yield 2 * k, np.array([[0.0, 1.0], [-self.sections.square[k] / w**2, 0.0]])
+        for k in range(len(self.sections.rates)):
+            yield 2 * self.pairs + k, np.eye(1)
+
+    def moved(self, sections: Sections, C: Array, K: Array) -> NoiseSections:
+        """The model with other numbers."""
+        return replace(self, sections=sections, C=C, K=K)
