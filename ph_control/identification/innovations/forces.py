@@ -21,6 +21,8 @@ from .joint import JointProjection, Quadratic
 from .minimum import Evaluation, Experiment, Minimum, Point, Problem, minimise
 from .noise_sections import NoiseSections
 
+Start = tuple[Problem, Point]  # the data, and a model without forces
+
 KINDS = ("correlated", "forces")
 _LEVEL = 1e-3  # probability that white noise of its own at each output looks as if there were more to it
 _SCREEN = 0.05  # of the score test that comes before, whose law holds for long records
@@ -112,52 +114,61 @@ def beside_forces(
 def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: bool = False) -> FreeFit:
     rows = _rows(free)
     start = None if rows is None else _start(free, rows, free.projection.p)
-    if start is None:
+    if start is None or rows is None:
         return free
-    alone = _alone(free, *start)
-    best = _likeliest(*start, alone, kinds, certain)
+    best, alone = None, _alone(free, *start)
+    outputs = len(free.scales)
+    if "correlated" in kinds and outputs > 1:
+        white = replace_colour(start[0], False)
+        if certain or _are_correlated(white.at(start[1])):
+            shared = minimise(white, start[1], steps=_STEPS)
+            if certain or _is_likelier(alone, shared.evaluation.cost, outputs * (outputs - 1) // 2):
+                best = shared
+    if "forces" in kinds and (certain or _score(*start) < _SCREEN):
+        forced = _forced(free, rows, start, orders)
+        if certain or _shows_forces(free, rows, forced, best):
+            best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
         return free
-    if orders and rows is not None:
-        best = _of_few_modes(free, rows, best)
     return _in_noise(free, best, alone, certain)
 
 
-def _of_few_modes(free: FreeFit, rows: Sequence[FreeRecord], best: Minimum) -> Minimum:
-    """The minimum with the number of modes that the BIC prefers beside the noise, of those on the way of the search."""
-    lags, worse = free.projection.p[free.projection.p.imag == 0], 0
-    fewest = best
-    for order in sorted(free.order_table, key=lambda row: row.order):
-        if not 0 < order.order < free.order:
+def _forced(free: FreeFit, rows: Sequence[FreeRecord], start: Start, orders: bool) -> Minimum:
+    """The minimum beside forces, with the modes that the BIC prefers among those on the way of the search.
+
+    Modes more may stand for what forces do: fewer come first.
+    """
+    lags, way = free.projection.p[free.projection.p.imag == 0], list[ComplexArray]()
+    if orders:
+        table = sorted(free.order_table, key=lambda row: row.order)
+        way = [np.concatenate([row.poles, lags]) for row in table if 0 < row.order < free.order]
+    best: Minimum | None = None
+    worse = 0
+    for p in [*way, free.projection.p]:
+        begin = start if p is free.projection.p else _start(free, rows, p)
+        if begin is None:
             continue
-        start = _start(free, rows, np.concatenate([order.poles, lags]))
-        if start is None:
-            continue
-        problem, point = start
-        trial = minimise(replace_colour(problem, best.evaluation.problem.coloured), point, steps=_STEPS)
-        worse = 0 if _bic(trial) < _bic(fewest) else worse + 1
-        fewest = min(fewest, trial, key=_bic)
+        trial = minimise(*begin, steps=_STEPS)
+        worse = 0 if best is None or _bic(trial) < _bic(best) else worse + 1
+        best = trial if best is None else min(best, trial, key=_bic)
         if worse > _PATIENCE:
             break
-    return _of_fewer_modes(fewest)
+    assert best is not None
+    return _of_fewer_modes(best) if orders else best
 
 
-def _likeliest(problem: Problem, point: Point, alone: float, kinds: Sequence[str], certain: bool) -> Minimum | None:
-    """The minimum in the simplest noise that the next wider one does not reject; None for noise of each output."""
-    best: Minimum | None = None
-    p = len(point.noise.C)
-    if "correlated" in kinds and p > 1:
-        white = replace_colour(problem, False)
-        shared = minimise(white, point, steps=_STEPS) if certain or _are_correlated(white.at(point)) else None
-        if shared is not None and (certain or _is_likelier(alone, shared.evaluation.cost, p * (p - 1) // 2)):
-            best = shared
-    if "forces" in kinds and (certain or _score(problem, point) < _SCREEN):
-        forced = minimise(problem, point if best is None else best.evaluation.point, steps=_STEPS)
-        before = alone if best is None else best.evaluation.cost
-        more = point.noise.unknowns + (p * (p - 1) // 2 if best is None else 0)
-        if certain or _is_likelier(before, forced.evaluation.cost, more):
-            best = forced
-    return best
+def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, shared: Minimum | None) -> bool:
+    """Whether the same modes without forces are far less likely, and all others by the BIC."""
+    point = forced.evaluation.point
+    start = _start(free, rows, point.poles)
+    if start is None or not np.isfinite(forced.evaluation.cost):
+        return False
+    p, more = len(free.scales), point.noise.unknowns
+    if shared is None:
+        white, more = _alone(replace(free, noise=()), *start), more + p * (p - 1) // 2
+    else:
+        white = minimise(replace_colour(start[0], False), start[1], steps=_STEPS).evaluation.cost
+    return _is_likelier(white, forced.evaluation.cost, more)
 
 
 def _of_fewer_modes(best: Minimum) -> Minimum:
@@ -232,7 +243,7 @@ def _rows(free: FreeFit) -> Sequence[FreeRecord] | None:
     return rows if projection.inputs and len(rows) == len(projection.experiments) else None
 
 
-def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> tuple[Problem, Point] | None:
+def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> Start | None:
     """The data and a model of some poles without forces; None where the likelihood would take too long."""
     x = Sections.of(p).x
     k = len(x) // 2
@@ -338,7 +349,7 @@ def _in_noise(free: FreeFit, best: Minimum, alone: float, certain: bool) -> Free
     joint = JointProjection(projection, point.shared, Quadratic.of(best), unknowns)
     loglik = -0.5 * evaluation.cost - samples * float(np.sum(np.log(free.scales)))
     criteria = Criteria.of(loglik, unknowns + p, float(samples * p))
-    if not certain and free.noise and free.criteria.bic <= criteria.bic:
+    if not certain and free.criteria.bic <= criteria.bic and (free.noise or noise.is_coloured):
         return free
     finding = _finding(free, noise, evaluation, 0.5 * (alone - evaluation.cost))
     of_noise = (Cause.COLOURED_NOISE, Cause.INPUT_NOISE, Cause.COLOURED_RESIDUALS)
