@@ -25,6 +25,7 @@ from ..regression.time_rows import FreeRecord
 from .noise_sections import NoiseSections
 
 _AT_A_TIME = 1 << 22  # numbers of a Jacobian
+_BINS = 1 << 13  # of an experiment that the information is made of
 _STEPS = 60
 _APART = 1e-4  # of their distance from 0: so near to one another poles of a section come
 _GROWTH, _LARGEST_DAMPING = 4.0, 1e8
@@ -71,7 +72,14 @@ class Experiment:
     @property
     def samples(self) -> int:
         """Number of samples of each output."""
-        return int(self.counts.sum())
+        return round(self.counts.sum())
+
+    def thinned(self, stride: int) -> Experiment:
+        """Every so many of the bins, each for all of them; of outputs alone."""
+        counts = self.counts[::stride]
+        return replace(
+            self, z=self.z[::stride], Y=self.Y[:, ::stride], counts=counts * (self.counts.sum() / counts.sum())
+        )
 
     def parts(self, p: ComplexArray) -> list[DrivenPart]:
         """Columns for modes with these poles."""
@@ -102,6 +110,18 @@ class Point:
     def poles(self) -> ComplexArray:
         """Poles of the plant."""
         return self.noise.sections.p
+
+
+def _beginning(state: Array, z: ComplexArray, samples: int) -> ComplexArray:
+    """What a state at the first sample adds to what drives the states, (N, bins)."""
+    return np.asarray(state[:, None] * (z / np.sqrt(samples)))
+
+
+def pieces(count: int, size: int, stride: int = 1) -> Iterator[slice]:
+    """Slices of so many bins, each of which has a number of numbers; every `stride` of them."""
+    every = stride * max(1, _AT_A_TIME // size)
+    for first in range(0, count, every):
+        yield slice(first, min(count, first + every), stride)
 
 
 class Problem:
@@ -184,24 +204,29 @@ class Evaluation:
         return noises
 
     def _motion(self, experiment: Experiment, state: Array) -> ComplexArray:
-        noise, z = self.point.noise, experiment.z
-        start = np.broadcast_to(state[:, None] * z / np.sqrt(experiment.samples), (len(state), len(z)))
-        return np.asarray(noise.C @ noise.resolve(z, start))
+        noise = self.point.noise
+        return np.asarray(noise.C @ noise.resolve(experiment.z, _beginning(state, experiment.z, experiment.samples)))
+
+    def _states(self, place: int, z: ComplexArray, e: ComplexArray) -> ComplexArray:
+        """States (N, bins) of an experiment that its errors, and where it began, make."""
+        driving = np.asarray(self.point.noise.K @ e)
+        if self.point.states:
+            driving = driving + _beginning(self.point.states[place], z, self.problem.experiments[place].samples)
+        return self.point.noise.resolve(z, driving)
 
     @cached_property
     def errors(self) -> list[ComplexArray]:
         """Prediction errors (p, bins) of each experiment."""
         if not self.problem.coloured:
             return self.left
-        return [
-            np.linalg.solve(self._transfer(experiment.z), V.T[:, :, None])[:, :, 0].T
-            for experiment, V in zip(self.problem.experiments, self.left, strict=True)
-        ]
-
-    def _transfer(self, z: ComplexArray) -> ComplexArray:
-        """Transfer `H` of each bin (bins, p, p)."""
-        noise = self.point.noise
-        return np.eye(self.p) + noise.outputs_of_states(z) @ noise.K
+        errors, noise = [], self.point.noise
+        for experiment, V in zip(self.problem.experiments, self.left, strict=True):
+            each = np.empty(V.shape, complex)
+            for bins in pieces(len(experiment.z), self.p * (self.p + noise.states)):
+                H = np.eye(self.p) + noise.outputs_of_states(experiment.z[bins]) @ noise.K
+                each[:, bins] = np.linalg.solve(H, V[:, bins].T[:, :, None])[:, :, 0].T
+            errors.append(each)
+        return errors
 
     @property
     def unknowns(self) -> int:
@@ -227,28 +252,60 @@ class Evaluation:
             return np.inf
         return float(self.problem.samples * (size + self.p * (1 + np.log(2 * np.pi))))
 
+    @cached_property
+    def _root(self) -> Array:
+        return np.linalg.cholesky(self.covariance)
+
+    def _whitening(self, z: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:
+        """Matrices (bins, p, p) that make errors of covariance 1 of noise, and what outputs see of the states."""
+        W = np.broadcast_to(np.eye(self.p), (len(z), self.p, self.p))
+        seen = None
+        if self.problem.coloured:
+            seen = self.point.noise.outputs_of_states(z)
+            W = np.linalg.inv(np.eye(self.p) + seen @ self.point.noise.K)
+        W = solve_triangular(self._root, W.transpose(1, 0, 2).reshape(self.p, -1), lower=True)
+        return W.reshape(self.p, len(z), self.p).transpose(1, 0, 2), seen
+
     def _jacobians(self) -> Iterator[tuple[ComplexArray, ComplexArray, Array]]:
-        """Blocks of bins: errors of covariance 1 (rows,), their Jacobian (rows, P), and what each row counts."""
-        noise, problem = self.point.noise, self.problem
-        root = np.linalg.cholesky(self.covariance)
-        width = len(problem.vector(self.point))
-        every = max(1, _AT_A_TIME // (width * self.p))
+        """Blocks of bins: errors of covariance 1 (rows,), their Jacobian (rows, P), and what each row counts.
+
+        Of outputs alone bins are thinned where there are many: the information is smooth over frequency.
+        """
+        problem, width = self.problem, len(self.problem.vector(self.point))
         for place, (experiment, errors) in enumerate(zip(problem.experiments, self.errors, strict=True)):
-            for first in range(0, len(experiment.z), every):
-                bins = slice(first, first + every)
+            stride = max(1, len(experiment.z) // _BINS) if not experiment.rows else 1
+            for bins in pieces(len(experiment.z), width * self.p, stride):
                 z, e = experiment.z[bins], errors[:, bins]
-                W = np.broadcast_to(np.eye(self.p), (len(z), self.p, self.p))
-                seen = None
-                if problem.coloured:
-                    seen = noise.outputs_of_states(z)
-                    W = np.linalg.inv(np.eye(self.p) + seen @ noise.K)
-                W = solve_triangular(root, W.transpose(1, 0, 2).reshape(self.p, -1), lower=True)
-                W = W.reshape(self.p, len(z), self.p).transpose(1, 0, 2)
+                W, seen = self._whitening(z)
                 J = np.zeros((len(z), self.p, width), complex)
                 self._fill(J, place, bins, z, W, e, seen)
-                rows = solve_triangular(root, e, lower=True).T
-                counts = np.repeat(experiment.counts[bins], self.p)
+                rows = solve_triangular(self._root, e, lower=True).T
+                counts = np.repeat(stride * experiment.counts[bins], self.p)
                 yield rows.ravel(), J.reshape(-1, width), counts
+
+    def _slope_of_noise(self) -> Array:
+        """Half the gradient, of outputs alone: from all bins, without a Jacobian."""
+        noise, N = self.point.noise, self.point.noise.states
+        x, C, K = np.zeros(len(noise.sections.x)), np.zeros((self.p, N)), np.zeros((N, self.p))
+        starts = []
+        for place, (experiment, errors) in enumerate(zip(self.problem.experiments, self.errors, strict=True)):
+            start = np.zeros(N)
+            for bins in pieces(len(experiment.z), self.p * (self.p + N)):
+                z, e = experiment.z[bins], errors[:, bins]
+                W, seen = self._whitening(z)
+                white = solve_triangular(self._root, e, lower=True) * experiment.counts[bins]
+                at_outputs = np.einsum("bpo,pb->ob", W.conj(), white, optimize=True)
+                at_states = np.einsum("bon,ob->nb", np.conj(seen), at_outputs, optimize=True)
+                states = self._states(place, z, e)
+                C -= (at_outputs @ states.conj().T).real
+                K -= (at_states @ e.conj().T).real
+                start -= (at_states @ z.conj()).real / np.sqrt(experiment.samples)
+                cross = (at_states @ states.conj().T).real
+                for k, (first, block) in enumerate(noise.slopes):
+                    these = slice(first, first + len(block))
+                    x[k] -= np.sum(block * cross[these, these])
+            starts.append(start)
+        return np.concatenate([x, C.ravel(), K.ravel(), *(starts if self.point.states else [])])
 
     def _fill(
         self, J: ComplexArray, place: int, bins: slice, z: ComplexArray, W: ComplexArray, e: ComplexArray,
@@ -258,7 +315,7 @@ class Evaluation:
         noise, problem, sections = self.point.noise, self.problem, self.point.noise.sections
         column = len(sections.x)
         if seen is not None:
-            states = noise.resolve(z, np.asarray(noise.K @ e))
+            states = self._states(place, z, e)
             through = W @ seen
             for k, (first, block) in enumerate(noise.slopes):
                 these = slice(first, first + len(block))
@@ -331,12 +388,13 @@ class Evaluation:
         """Gram matrix of the Jacobian of errors of covariance 1, and half the gradient."""
         size = len(self.problem.vector(self.point))
         gram, gradient = np.zeros((size, size)), np.zeros(size)
+        alone = self.problem.coloured and not any(experiment.rows for experiment in self.problem.experiments)
         for errors, J, counts in self._jacobians():
-            weighted = J.conj().T * counts
-            gradient += (weighted @ errors).real
+            if not alone:
+                gradient += ((J.conj().T * counts) @ errors).real
             both = np.concatenate([J.real, J.imag]) * np.sqrt(np.tile(counts, 2))[:, None]
             gram += both.T @ both
-        return gram, gradient
+        return gram, self._slope_of_noise() if alone else gradient
 
     @cached_property
     def bases(self) -> Array:

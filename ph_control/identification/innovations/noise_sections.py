@@ -87,14 +87,15 @@ class NoiseSections:
     @cached_property
     def slopes(self) -> list[tuple[int, Array]]:
         """Derivatives of `A` by the coordinates of the sections: first state and block of each."""
-        cosine, sine, cosine_by, sine_by = self._turn
+        _, sine, cosine_by, sine_by = self._turn
         growth, w, q = np.exp(-self.sections.decay * self.step), self.references, self.sections.square
         by_square = self._in_blocks(cosine_by, sine_by, q)
         by_square[:, 1, 0] -= growth * sine / w
         each = [(2 * k, -self.step * block) for k, block in enumerate(self.blocks)]
         each += [(2 * k, block) for k, block in enumerate(by_square)]
-        rates = self.sections.rates
-        return each + [(2 * self.pairs + k, np.array([[-self.step * np.exp(-r * self.step)]])) for k, r in enumerate(rates)]
+        first = 2 * self.pairs
+        rates = enumerate(self.sections.rates.tolist())
+        return each + [(first + k, np.full((1, 1), -self.step * np.exp(-rate * self.step))) for k, rate in rates]
 
     @cached_property
     def A(self) -> Array:
@@ -109,7 +110,9 @@ class NoiseSections:
     @property
     def is_stable(self) -> bool:
         """Whether the predictor forgets."""
-        return not self.states or bool(np.abs(np.linalg.eigvals(self.A - self.K @ self.C)).max() < 1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            closed = self.A - self.K @ self.C
+        return bool(np.isfinite(closed).all() and np.abs(np.linalg.eigvals(closed)).max(initial=0.0) < 1)
 
     def resolve(self, z: ComplexArray, values: ComplexArray) -> ComplexArray:
         """States `(z - A)^{-1} values`, of values (N, ..., bins)."""

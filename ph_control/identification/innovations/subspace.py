@@ -1,4 +1,8 @@
-"""Models of outputs alone, from their correlations: canonical variates of the past and the future."""
+"""Models of outputs alone, from their correlations: canonical variates of the past and the future.
+
+The correlations are those of the record with zeros about it, a sequence that some stationary process has: so every
+model that is made of them is stable, and its predictor forgets.
+"""
 
 from __future__ import annotations
 
@@ -6,29 +10,27 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import solve_discrete_are
 
 from ..._types import Array, ComplexArray
 from ..regression.sections import Sections
 from .noise_sections import NoiseSections
 
-_MOST_ROWS = 400  # of a covariance of the past
+_RANK = 1e-10  # of the largest eigenvalue of a covariance
+_TURNS = 16  # bases of a section that are tried for a good condition
 
 
 def correlations(y: Array, lags: int) -> Array:
-    """Correlations `E y_{t+k} y_t^T` (lags + 1, p, p) of outputs (p, T), those of a record with zeros about it."""
-    p, T = y.shape
-    size = 1 << int(np.ceil(np.log2(T + lags)))
-    Y = np.fft.rfft(y, size)
-    R = np.empty((lags + 1, p, p))
-    for i in range(p):
-        R[:, i] = np.fft.irfft(Y[i] * Y.conj(), size)[:, : lags + 1].T
-    return R / T
+    """Correlations, sums of `y_{t+k} y_t^T` (lags + 1, p, p) of outputs (p, T)."""
+    size = next_fast_len(y.shape[1] + lags, real=True)
+    Y = rfft(y, size)
+    return np.stack([irfft(Y[i] * Y.conj(), size)[:, : lags + 1].T for i in range(len(y))], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class CanonicalVariates:
-    """Past and future of outputs, from correlations (2 r + 1, p, p)."""
+    """Past and future of outputs, r samples each, from correlations (2 r + 1, p, p)."""
 
     R: Array
 
@@ -38,99 +40,86 @@ class CanonicalVariates:
         return len(self.R) // 2
 
     def _lagged(self, k: int) -> Array:
-        return self.R[k] if k >= 0 else self.R[-k].T
+        return np.asarray(self.R[k] if k >= 0 else self.R[-k].T)
 
     def _blocks(self, first: int, down: int, along: int) -> Array:
-        r = self.horizon
-        return np.block([[self._lagged(first + down * i + along * j) for j in range(r)] for i in range(r)])
+        r = range(self.horizon)
+        return np.block([[self._lagged(first + down * i + along * j) for j in r] for i in r])
 
     @cached_property
-    def _parts(self) -> tuple[Array, Array, Array, Array]:
-        """Covariance of the past, its whitening, singular vectors and values of what it foretells of the future."""
-        past = self._blocks(0, -1, 1)  # y_{-1}, y_{-2}, ...
-        future = self._blocks(0, 1, -1)
-        across = self._blocks(1, 1, 1)
-        of_past, of_future = (_inverse_root(S) for S in (past, future))
-        _, s, Vt = np.linalg.svd(of_future @ across @ of_past)
-        return past, of_past, Vt, s
+    def _past(self) -> Array:
+        """Covariance of `(y_{-1}, y_{-2}, ..)`."""
+        return self._blocks(0, -1, 1)
+
+    @cached_property
+    def _with_past(self) -> Array:
+        """Covariance of `y_0` with the past."""
+        return np.concatenate([self._lagged(k + 1) for k in range(self.horizon)], axis=1)
+
+    @cached_property
+    def _directions(self) -> Array:
+        """Combinations of the past, of variance 1, by what they foretell of the future."""
+        past, future = _inverse_root(self._past), _inverse_root(self._blocks(0, 1, -1))
+        return np.asarray(np.linalg.svd(future @ self._blocks(1, 1, 1) @ past)[2] @ past)
 
     @property
-    def canonical_correlations(self) -> Array:
-        """Correlations of future and past."""
-        return self._parts[3]
+    def largest(self) -> int:
+        """Most states that there can be."""
+        return len(self._past)
 
     def model(self, states: int) -> tuple[Array, Array, Array] | None:
-        """Matrices A, C and gain K of a model with some states; None where it has none that is stable."""
-        past, of_past, Vt, _ = self._parts
-        p, r = self.R.shape[1], self.horizon
-        M = Vt[:states] @ of_past  # state of the past
-        # y_0 and what is the past one sample later
-        next_past = np.concatenate([self._row(r), past], axis=0)[: p * r]
-        C = self._row(r) @ M.T
-        A = M @ next_past @ M.T
-        if np.abs(np.linalg.eigvals(A)).max(initial=0.0) >= 1:
-            return None
-        new = M @ self._past_of_next() @ M.T
-        Q, R = new - A @ A.T, self.R[0] - C @ C.T
-        S = M @ np.concatenate([self.R[0], self._row(r).T[: p * (r - 1)]]) - A @ C.T
+        """Matrices A, C and gain K of a model with some states; None where there is none."""
+        M, past, p = self._directions[:states], self._past, self.R.shape[1]
+        kept = len(past) - p
+        # the past one sample later begins with y_0
+        later = np.concatenate([self._with_past, past[:kept]])
+        A, C = M @ later @ M.T, self._with_past @ M.T
+        of_new = M @ np.concatenate([self.R[0], self._with_past[:, :kept].T])
+        Q, R = np.eye(states) - A @ A.T, self.R[0] - C @ C.T
+        S = of_new - A @ C.T
         try:
-            P = solve_discrete_are(A.T, C.T, 0.5 * (Q + Q.T), R, s=S)
+            P = solve_discrete_are(A.T, C.T, 0.5 * (Q + Q.T), 0.5 * (R + R.T), s=S)
         except (np.linalg.LinAlgError, ValueError):
             return None
         K = np.linalg.solve(C @ P @ C.T + R, (A @ P @ C.T + S).T).T
         return A, C, K
 
-    def _row(self, r: int) -> Array:
-        """Covariance of `y_0` with the past."""
-        return np.concatenate([self._lagged(j + 1) for j in range(r)], axis=1)
-
-    def _past_of_next(self) -> Array:
-        return self._parts[0]
-
 
 def _inverse_root(S: Array) -> Array:
     values, vectors = np.linalg.eigh(0.5 * (S + S.T))
-    values = np.maximum(values, 1e-12 * values.max(initial=0.0))
+    values = np.maximum(values, _RANK * values.max(initial=0.0))
     return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
 
 
 def in_sections(A: Array, C: Array, K: Array, step: float) -> NoiseSections | None:
-    """A discrete model in sections; None where it has poles that no continuous one has."""
+    """A discrete model in sections; None where it has poles that no continuous one has, or that are one pole."""
     values, vectors = np.linalg.eig(A)
     kept = np.flatnonzero(values.imag >= 0)
-    values_kept = values[kept]
-    if np.any((values_kept.imag == 0) & (values_kept.real <= 0)):
+    if np.any((values[kept].imag == 0) & (values[kept].real <= 0)) or np.any(np.abs(values) >= 1):
         return None
-    poles: ComplexArray = np.log(values_kept) / step
+    poles: ComplexArray = np.log(values[kept]) / step
     sections = Sections.of(poles)
-    # poles of two real ones in a section lie apart
-    model = NoiseSections(sections, step, np.sqrt(sections.decay**2 + np.abs(sections.square)), C, K)
-    inverse = np.linalg.inv(vectors)
-    T = np.zeros(A.shape)
-    order = []
-    for slow, fast in sections.places.tolist():
-        order.append([kept[slow]] if slow == fast else [kept[slow], kept[fast]])
-    order += [[kept[k]] for k in sections.single.tolist()]
-    # real basis of each invariant subspace, and the change to the basis of its block
-    first = 0
-    for places in order:
-        span = vectors[:, places]
-        span = np.concatenate([span.real, span.imag], axis=1) if np.iscomplexobj(span) and len(places) == 1 and values[places[0]].imag > 0 else span.real
-        size = span.shape[1]
-        inner = np.linalg.lstsq(span, A @ span, rcond=None)[0]
-        block = model.A[first : first + size, first : first + size]
-        T[:, first : first + size] = span @ _similar(inner, block)
-        first += size
-    del inverse
+    references = np.sqrt(np.maximum(np.abs(sections.square), (1e-3 * sections.decay) ** 2))
+    model = NoiseSections(sections, step, references, C, K)
+    spans = [vectors[:, [kept[k] for k in dict.fromkeys(places)]] for places in sections.places.tolist()]
+    spans += [vectors[:, [kept[k]]] for k in sections.single.tolist()]
+    T, first = np.zeros(A.shape), 0
+    for span in spans:
+        both = np.concatenate([span.real, span.imag], axis=1) if span.imag.any() else span.real
+        these = slice(first, first + both.shape[1])
+        inner = np.linalg.lstsq(both, A @ both, rcond=None)[0]
+        T[:, these] = both @ _similar(inner, model.A[these, these])
+        first = these.stop
+    if not np.linalg.cond(T) < 1 / _RANK:
+        return None
     return model.moved(sections, C @ T, np.linalg.solve(T, K))
 
 
 def _similar(inner: Array, block: Array) -> Array:
-    """Matrix X with `inner X = X block`, for 2 x 2 or 1 x 1 matrices with the same eigenvalues, of a good condition."""
+    """Matrix X of good condition with `inner X = X block`, for matrices of the same eigenvalues."""
     if len(inner) == 1:
         return np.eye(1)
     system = np.kron(inner, np.eye(2)) - np.kron(np.eye(2), block.T)
-    _, _, Vt = np.linalg.svd(system)
-    first, second = Vt[-1].reshape(2, 2), Vt[-2].reshape(2, 2)
-    angles = np.linspace(0, np.pi, 16, endpoint=False)
-    return min((np.cos(a) * first + np.sin(a) * second for a in angles), key=np.linalg.cond)
+    first, second = (row.reshape(2, 2) for row in np.linalg.svd(system)[2][-2:])
+    turns = np.linspace(0, np.pi, _TURNS, endpoint=False)
+    return min((np.cos(turn) * first + np.sin(turn) * second for turn in turns), key=np.linalg.cond)
