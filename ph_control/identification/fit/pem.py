@@ -22,6 +22,7 @@ from .pem_result import PEMResult
 from .result import STRUCTURES
 
 REPRESENTATIONS = ("observable", "controllable")
+NOISES = ("auto", "white", "correlated", "coloured", "forces")
 
 
 @on_one_thread
@@ -47,6 +48,7 @@ def pem(
     ports: Any = None,
     real_poles: int | str = "auto",
     delay: Any = "auto",
+    noise: str = "auto",
 ) -> PEMResult:
     """Fit modes and real poles to recordings or frequency responses, by prediction-error minimisation.
 
@@ -60,7 +62,7 @@ def pem(
         Inputs and outputs on a uniform grid, or frequency responses; several experiments in a list, each with its own
         length, step and initial state.  Signals of several channels have one row each, (m, T) and (p, T); experiments
         may have different channels, matched by their labels, or their places where there are none.  `(None, y)` is a
-        free motion.  NaN outputs are missing samples.  Not modified.
+        free motion, or one that forces which nobody measured keep up.  NaN outputs are missing samples.  Not modified.
     order : int or 'auto'
         Number of modes n; 'auto' takes the one that `criterion` prefers.
     dt : float, or sequence of float, one for each experiment, optional
@@ -114,6 +116,11 @@ def pem(
         Time by which outputs come later than the response to the inputs, or earlier where it is negative: that of an
         anti-aliasing filter, of sampling one channel after the other, or dead time.  'auto' estimates one of all
         outputs, or one of each, where a structure or the first samples of the answer show it.
+    noise : {'auto', 'white', 'correlated', 'coloured', 'forces'}
+        What is beside the response to the inputs: white noise of each output, with one covariance of all outputs,
+        or coloured, an autoregression of each; or forces that nobody measured, and noise of recorded inputs, which
+        come through the plant.  'auto' takes the simplest that the data do not reject.  Of outputs alone 'forces' says
+        that wind, traffic or the like kept the plant in motion, and 'auto' whether they did, or whether a motion decays.
 
     Returns
     -------
@@ -173,6 +180,7 @@ def pem(
         ("criterion", criterion, CRITERIA), ("structure", structure, ("auto", *STRUCTURES)),
         ("method", method, METHODS), ("representation", representation, REPRESENTATIONS),
         ("intersample", intersample, ("auto", *INTERSAMPLE)), ("initial_state", initial_state, ("estimate", "zero")),
+        ("noise", noise, NOISES),
     ):  # fmt: skip
         _checks.choice(name, value, allowed)
     check_workers(workers)
@@ -183,7 +191,7 @@ def pem(
     options = Options.checked(
         channels, order=order, method=method, intersample=intersample, offset=offset, max_order=max_order,
         criterion=criterion, callback=callback, moving=initial_state == "estimate", weighted=weights is not None,
-        real_poles=real_poles, delay=delay, reachable=representation == "controllable",
+        real_poles=real_poles, delay=delay, reachable=representation == "controllable", noise=noise,
     )  # fmt: skip
     request = request_of(channels, structure, ports, quantity, options)
     start = starting_poles(initial_guess, channels, options)

@@ -17,6 +17,7 @@ import numpy as np
 from ..._types import Array, ComplexArray
 from ..data.channels import Recording
 from ..search.criteria import Criteria
+from ..search.progress import Report
 from .minimum import Evaluation, Experiment, Minimum, Point, Problem, minimise
 from .noise_sections import NoiseSections
 from .subspace import CanonicalVariates, correlations, in_sections
@@ -33,10 +34,26 @@ _PATIENCE = 8  # states more without a better criterion
 
 @dataclass(frozen=True, eq=False)
 class AmbientOrder:
-    """The best model of a number of states on the way."""
+    """The best model of a number of states on the way, and its criteria in units of the scaled outputs."""
 
     noise: NoiseSections
-    bic: float
+    criteria: Criteria
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns, of the covariance as well."""
+        p = len(self.noise.C)
+        return self.noise.unknowns + len(self.noise.sections.x) + p * (p + 1) // 2
+
+    def loss(self, samples: int) -> float:
+        """Geometric mean of the squared prediction errors, of so many samples of each output."""
+        loglik = 0.5 * (2 * self.unknowns - self.criteria.aic)
+        return float(np.exp(-2 * loglik / (samples * len(self.noise.C)) - 1) / (2 * np.pi))
+
+    @property
+    def bic(self) -> float:
+        """Value of that criterion."""
+        return self.criteria.bic
 
     @property
     def order(self) -> int:
@@ -83,7 +100,7 @@ class AmbientFit:
 
 def ambient_fit(
     channels: Sequence[Recording], *, order: int | None = None, real_poles: int | None = None, max_order: int = 20,
-    criterion: str = "bic", progress: Callable[[int, float], None] | None = None,
+    criterion: str = "bic", reports: Callable[[int], Report | None] = lambda order: None,
 ) -> AmbientFit | None:  # fmt: skip
     """Fit modes to outputs alone.
 
@@ -97,8 +114,9 @@ def ambient_fit(
         Largest number of modes.
     criterion : {'bic', 'aicc', 'aic'}
         What chooses.
-    progress : callable, optional
-        Called with a number of modes and the mean log-determinant of the prediction errors.
+    reports : callable, optional
+        Called with a number of modes, to give what is called with each iteration, and the mean squared prediction error
+        of outputs of unit variance.
 
     Returns
     -------
@@ -133,8 +151,8 @@ def ambient_fit(
             worse = 0 if model is not None and model.bic < least else worse + 1
             if model is not None and (states not in best or model.bic < best[states].bic):
                 best[states] = model
-            if progress is not None and model is not None:
-                progress(model.order, model.bic / samples)
+            if model is not None and (report := reports(model.order)) is not None:
+                report(states, model.loss(samples))
             if order is None and worse > _PATIENCE:
                 break
     fitting = [model for model in best.values() if _has(model.noise, order, real_poles) and model.order <= max_order]
@@ -143,7 +161,7 @@ def ambient_fit(
     least = min(model.bic for model in fitting)
     close = [model for model in sorted(fitting, key=lambda model: model.bic)[:_CLOSE] if model.bic < least + _NEAR]
     refined = [minimise(problem, _point(problem, model.noise), steps=_STEPS) for model in close]
-    chosen = min(refined, key=lambda minimum: _cost(minimum.evaluation, criterion))
+    chosen = min(refined, key=lambda minimum: _criteria(minimum.evaluation).by_name(criterion))
     end = minimise(problem, chosen.evaluation.point)
     means = np.stack([channel.y.mean(axis=1) for channel in channels])
     return AmbientFit(end, scales, means, tuple(best[states] for states in sorted(best)))
@@ -161,7 +179,7 @@ def _started(problem: Problem, variates: CanonicalVariates, states: int) -> Ambi
     if noise is None:
         return None
     evaluation = problem.at(_point(problem, noise))
-    return AmbientOrder(noise, _cost(evaluation, "bic")) if np.isfinite(evaluation.cost) else None
+    return AmbientOrder(noise, _criteria(evaluation)) if np.isfinite(evaluation.cost) else None
 
 
 def _point(problem: Problem, noise: NoiseSections) -> Point:
@@ -169,9 +187,9 @@ def _point(problem: Problem, noise: NoiseSections) -> Point:
     return Point(noise, np.zeros((0, len(noise.C))), (), states)
 
 
-def _cost(evaluation: Evaluation, criterion: str) -> float:
+def _criteria(evaluation: Evaluation) -> Criteria:
     rows = float(evaluation.problem.samples * evaluation.p)
-    return Criteria.of(-0.5 * evaluation.cost, evaluation.unknowns, rows).by_name(criterion)
+    return Criteria.of(-0.5 * evaluation.cost, evaluation.unknowns, rows)
 
 
 def shapes_of(noise: NoiseSections) -> ComplexArray:

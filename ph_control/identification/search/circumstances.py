@@ -52,6 +52,7 @@ class Cause(Enum):
     UNEQUAL_NOISE = "noise that differs between experiments"
     FORCES = "forces that were not measured"
     CORRELATED_NOISE = "noise that outputs share"
+    AMBIENT = "ambient excitation"
     HAMMER_NOISE = "noise of a hammer's force between its contacts"
     LARGEST_ORDER = "as many modes as the search may find"
     FEWER_MODES = "fewer modes than the order that was given"
@@ -293,6 +294,14 @@ def _of_forces(finding: Finding, terms: _Terms) -> str:
     )
 
 
+def _of_ambient(finding: Finding, terms: _Terms) -> str:
+    decay = f" rather than one motion that decays ({_gain(finding)})" * (finding.gain > 0)
+    return (
+        f"Forces that nobody measured, white over frequency, kept the plant in motion{decay}: predictions are one "
+        "step ahead."
+    )
+
+
 def _of_correlated_noise(finding: Finding, terms: _Terms) -> str:
     return (
         f"The noise of the outputs is correlated ({_gain(finding)}), that of {finding.output} by "
@@ -358,7 +367,7 @@ _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
     Cause.CONSTANT: _of_constant, Cause.DRIFT: _of_drift, Cause.HOLD: _of_hold, Cause.DELAY: _of_delay,
     Cause.POLARITY: _of_polarity, Cause.GAIN_NOISE: _of_gain_noise, Cause.COLOURED_RESIDUALS: _of_coloured_residuals,
     Cause.HUM: _of_hum, Cause.UNEQUAL_NOISE: _of_unequal_noise, Cause.FORCES: _of_forces,
-    Cause.CORRELATED_NOISE: _of_correlated_noise,
+    Cause.CORRELATED_NOISE: _of_correlated_noise, Cause.AMBIENT: _of_ambient,
     Cause.HAMMER_NOISE: _of_hammer_noise, Cause.SATURATION: _of_saturation, Cause.WILD_LINES: _of_wild_lines,
     Cause.LARGEST_ORDER: _of_largest_order, Cause.FEWER_MODES: _of_fewer_modes, Cause.OUTLIERS: _of_outliers,
     Cause.INPUT_NOISE: _of_input_noise, **dict.fromkeys(REJECTED.values(), _of_rejection),

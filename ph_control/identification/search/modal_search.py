@@ -218,6 +218,7 @@ def free_fit(
     method: str = "exact",
     doubted: bool = True,
     beside: Callable[..., FreeFit] = lambda fit, orders: fit,
+    white: bool = False,
 ) -> FreeFit:
     """Fit modes of any damping and residues to all channels, from nothing or from some poles.
 
@@ -264,6 +265,8 @@ def free_fit(
     beside : callable, optional
         Called with the first fit and whether the number of modes is open, to give that in noise of another kind;
         drifts and delays, which such noise may look like, are then not looked for.
+    white : bool
+        Whether the noise of each output is taken as white.
 
     Returns
     -------
@@ -292,7 +295,7 @@ def free_fit(
     ) -> FreePath:
         return FreePath.of(
             channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles, method=method,
-            constant_open=offset == "auto" and terms == 1, delay=late,
+            constant_open=offset == "auto" and terms == 1, delay=late, white=white,
         )  # fmt: skip
 
     if doubted and isinstance(channels[0], ResponseMatrix):
@@ -1015,9 +1018,10 @@ class FreePath:
     def __init__(
         self, search: FreeSearch, felt: Mask, criterion: str = "bic", reports: Reports = lambda order: None,
         best: FreeModel | None = None, real_poles: int | str = "auto", noise: tuple[Array, ...] = (),
-        constant_open: bool = False,
+        constant_open: bool = False, white: bool = False,
     ) -> None:  # fmt: skip
         self.constant_open = constant_open  # whether outputs need not have a constant
+        self.white = white  # whether noise is taken as white
         self.real_poles, self.plain = real_poles, search.with_kinds(real_poles == "auto")
         self.felt, self.criterion, self.reports = felt, criterion, reports
         self.table: dict[int, FreeOrder] = {}
@@ -1042,7 +1046,7 @@ class FreePath:
         cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: int, moving: bool,
         criterion: str = "bic", reports: Reports = lambda order: None, best: FreeModel | None = None,
         real_poles: int | str = "auto", method: str = "exact", constant_open: bool = False, delay: Array | None = None,
-        noise: tuple[Array, ...] = (),
+        noise: tuple[Array, ...] = (), white: bool = False,
     ) -> FreePath:  # fmt: skip
         """The search in channels, or what ends one whose best model is known."""
         first = channels[0]
@@ -1054,7 +1058,7 @@ class FreePath:
             held = "zoh" if intersample == "auto" else intersample
             recordings = [channel for channel in channels if isinstance(channel, Recording)]
             search: FreeSearch = Records(_records(recordings, held, offset, moving, method, delay))
-            return cls(search, felt, criterion, reports, best, real_poles, noise, constant_open)
+            return cls(search, felt, criterion, reports, best, real_poles, noise, constant_open, white)
         search = Responses(
             _responses([channel for channel in channels if isinstance(channel, ResponseMatrix)], each, delay)
         )
@@ -1136,7 +1140,7 @@ class FreePath:
         """What the order is chosen by: the criterion, with noise of each output as coloured as it prefers."""
         cost = self.criteria(self.loglik(model.losses), self.search.unknowns_of(model.p)).by_name(self.criterion)
         # what no mode explains yet is not taken for noise, nor is rounding
-        if not (len(model.p) or model.innovations) or self.is_exact(model):
+        if self.white or not (len(model.p) or model.innovations) or self.is_exact(model):
             return cost
         for count, noise in zip(self.counts, model.noise, strict=False):
             cost += past_of_noise(int(count), noise.variances, self._each)
@@ -1176,6 +1180,8 @@ class FreePath:
 
     def _past_of_noise(self, model: FreeModel) -> tuple[Array, ...]:
         """Of each output the innovations filter of the autoregression that the criterion prefers."""
+        if self.white:
+            return ()
         filters = [noise.innovations(int(count), self._each)
                    for count, noise in zip(self.counts, model.noise, strict=False)]  # fmt: skip
         return tuple(filters) if any(len(coefficients) > 1 for coefficients in filters) else ()
