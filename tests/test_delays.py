@@ -165,3 +165,15 @@ def test_a_response_shows_the_delay_of_a_lossy_plant():
     np.testing.assert_allclose(np.angle(result.residues[:, 0, 0]), 0.0, atol=0.05)
     compared = phc.compare(ct.frd(response[None, None], omega), result)
     assert compared.fit_percent[0] > 90
+
+
+@pytest.mark.parametrize("seed", [0, 16])
+def test_a_delay_does_not_stand_for_the_damping_that_a_given_structure_lacks(seed):
+    """Free residues explain the data without a delay, so that the lossless model is refused, and nothing else named."""
+    rng = np.random.default_rng(seed)
+    u, t, p = rng.standard_normal(2000), np.arange(2000.0), np.array([0.5, 1.3, 2.2]) * (-1e-4 + 1j)
+    plant = phc.modes(p, [[1.0], [0.6], [0.8]], [[1.0], [1.0], [1.0]]).state_space()
+    y = ct.forced_response(ct.c2d(plant, 1.0), t, u).outputs
+    result = phc.pem((u, y + 0.05 * y.std() * rng.standard_normal(2000)), 3, dt=1.0, structure="lossless")
+    assert result.tests[0].p < 1e-6 and not result.delay.any()
+    assert {finding.cause.name for finding in result.findings}.isdisjoint({"DELAY", "INPUT_NOISE"})

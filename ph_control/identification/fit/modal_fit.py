@@ -492,11 +492,19 @@ def _with_delay(
     hypothesis = "classical" if request.structure == "auto" else request.structure
     trials = [_delayed(fit, best, hypothesis, request, False) for fit in (free, other()) if fit is not None]
     trial = min((candidate for candidate in trials if candidate is not None), key=_cost, default=best)
-    if _explains(trial, best):
+    # what rejects a structure that is given, and free residues explain without a delay, shows none
+    without = best if request.structure in ("auto", "free") else _freely(best, request)
+    if trial is not best and _explains(trial, without):
         chosen = _searched_anew(trial.free, request, with_delay)
-        if _explains(chosen, best) and (_stands(chosen, request) or _gain(chosen, best) > TUNING.sure):
+        if _explains(chosen, without) and (_stands(chosen, request) or _gain(chosen, without) > TUNING.sure):
             return chosen
     return _refined(best, "free", request) if late and best.fit.structure == "free" else best
+
+
+def _freely(best: _Chosen, request: Request) -> _Chosen:
+    """Free residues in place of a structure."""
+    free = best.free
+    return replace(best, fit=constrained(free.projection, _layout(free, request), "free", free.region))
 
 
 def _searched_anew(late: FreeFit, request: Request, with_delay: WithDelay | None) -> _Chosen:

@@ -122,14 +122,33 @@ class _ExperimentColumns:
 
 @dataclass(frozen=True)
 class _Together:
-    """Outputs that are shown by the same experiments, and their columns with what solves for the shared unknowns."""
+    """Outputs that are shown by the same experiments, and their columns with what solves for the shared unknowns.
+
+    Of these the places in `absent` are 0; `rows` is the number of samples of which rounding is left out.
+    """
 
     outputs: list[int]
     experiments: tuple[int, ...]
     columns: Array
     targets: Array
-    basis: Array
-    solve: Array
+    absent: tuple[int, ...]
+    rows: int
+
+    @cached_property
+    def _solved(self) -> tuple[Array, Array]:
+        basis, solve = orthogonal(self.columns, self.rows)
+        solve[list(self.absent)] = 0.0
+        return basis, solve
+
+    @property
+    def basis(self) -> Array:
+        """Orthonormal basis of the columns."""
+        return self._solved[0]
+
+    @property
+    def solve(self) -> Array:
+        """What turns coordinates in the basis into the shared unknowns."""
+        return self._solved[1]
 
     def slopes(self, by_poles: Array) -> tuple[Array, Array]:
         """Derivatives by the poles without what the shared unknowns absorb, and how these then change."""
@@ -218,6 +237,23 @@ class FreeProjection(LinearProjection):
         experiments = self.experiments if experiments is None else experiments
         return GivenResidues(FreeProjection(experiments, p, self.fed, sections), shared)
 
+    def rescaled(self, experiments: Sequence[FreeRows], ratio: Array, fed: Mask | None) -> FreeProjection:
+        """The same poles in rows whose outputs are as large as these, times the `ratio` (outputs,)."""
+        projection = FreeProjection(experiments, self.p, fed, self.sections)
+        projection.region = self.region
+        projection.factors = [factor.copy() for factor in self.factors]
+        for rows, factor in zip(experiments, projection.factors, strict=True):
+            factor[:, -len(rows.outputs) :] *= ratio[rows.outputs]
+        return projection
+
+    def ascending(self) -> FreeProjection:
+        """The same with the poles by natural frequency, and the coordinates of these."""
+        rank = np.argsort(self.d)
+        projection = FreeProjection(self.experiments, self.p[rank], self.fed)
+        if np.array_equal(rank, np.arange(len(rank))):
+            projection.factors = self.factors
+        return projection
+
     def without_mode(self, k: int) -> FreeProjection:
         """The same without a mode, from the factors that are known."""
         n = len(self.p)
@@ -262,9 +298,7 @@ class FreeProjection(LinearProjection):
             columns = np.concatenate([self._parts[k][2].shared for k in members])
             columns[:, list(held)] = 0.0
             targets = np.concatenate([self._parts[k][2].outputs[:, self._places(k, outputs)] for k in members])
-            basis, solve = orthogonal(columns, self.rows)
-            solve[list(held)] = 0.0
-            groups.append(_Together(outputs, members, columns, targets, basis, solve))
+            groups.append(_Together(outputs, members, columns, targets, held, self.rows))
         return groups
 
     def _held(self, output: int) -> tuple[int, ...]:
@@ -530,6 +564,7 @@ class FreeProblem:
     experiments: Sequence[FreeRows]
     region: PoleRegion
     fed: Mask | None = None
+    known: FreeProjection | None = None  # of the same rows
 
     @property
     def samples(self) -> int:
@@ -541,6 +576,8 @@ class FreeProblem:
         sections = Sections.from_coordinates(x)
         projection = FreeProjection(self.experiments, sections.p, self.fed, sections)
         projection.region = self.region
+        if self.known is not None and np.array_equal(sections.p, self.known.p):
+            projection.factors = self.known.factors
         return projection
 
     def inside(self, x: Array) -> Array:
@@ -554,18 +591,19 @@ class FreeProblem:
 
 def refine_free(
     make: Make, p: ComplexArray, region: PoleRegion, rtol: float = 1e-8, fed: Mask | None = None, last: bool = True,
-    steps: int = _STEPS, progress: Progress | None = None,
+    steps: int = _STEPS, progress: Progress | None = None, known: FreeProjection | None = None,
 ) -> FreeProjection:  # fmt: skip
     """Poles refined from a start; of those without a decay rate (NaN) it is looked for first.
 
     What is not the `last` refinement ends where steps get small.  `progress` is told the mean of the squared rows.
+    What is `known` of rows that are the same for all poles is not worked out again.
     """
     p = p.copy()
     for k in np.flatnonzero(np.isnan(p.real)):
         p[k] = _first_decay(make, p, int(k), region)
     for _ in range(3):  # peaks turn out wider than their window
         sections = Sections.of(p)
-        problem = FreeProblem(make(p), region.about(sections), fed)
+        problem = FreeProblem(make(p), region.about(sections), fed, known)
         start = problem.inside(sections.x)
         report = progress and _averaged(progress, problem.samples)
         end = refine(problem, start, rtol=rtol, max_iterations=steps, last=last, progress=report)

@@ -74,6 +74,19 @@ def refine(
     step is still taken if it is to be the `last`.  Raises `Interrupted`.
     """
     end = Refinement(problem.project(x), converged=len(x) == 0)
+    return continue_refinement(problem, end, rtol=rtol, max_iterations=max_iterations, last=last, progress=progress)
+
+
+def continue_refinement(
+    problem: Minimisation[Projection],
+    end: Refinement[Projection],
+    *,
+    rtol: float,
+    max_iterations: int,
+    last: bool,
+    progress: Progress | None = None,
+) -> Refinement[Projection]:
+    """Go on with a minimisation from where it stands, up to so many iterations in all, as `refine` does."""
     try:
         while not end.converged and end.iterations < max_iterations:
             _descend(problem, end, rtol, last)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, chdtri
 
 from ..._types import Array
 from ..regression.tuning import TUNING
@@ -44,3 +44,11 @@ def stands_out(gain: float, loss: float, samples: int, unknowns: int, more: int)
     """Tell whether noise would hardly let so many unknowns `more` gain as much anywhere in the band."""
     spare = samples - unknowns
     return bool(spare > 0 and loss > 0 and chdtrc(more, gain * spare / loss) * samples < TUNING.by_chance)
+
+
+def least_gain(loss: float, samples: int, unknowns: int, more: int) -> float:
+    """Gain below which none `stands_out`, but for rounding; infinite where none does."""
+    spare, chance = samples - unknowns, TUNING.by_chance / samples
+    if spare <= 0 or loss <= 0:
+        return np.inf
+    return float(chdtri(more, chance)) * loss / spare if chance < 1 else 0.0

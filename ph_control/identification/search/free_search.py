@@ -158,8 +158,11 @@ class FreeSearch:
         """Sum of squares of each output."""
         raise NotImplementedError
 
-    def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
-        """Poles of modes that explain most of what a model leaves, the strongest first, and how much."""
+    def candidates(self, model: FreeModel, least: float = 0.0) -> tuple[ComplexArray, Array]:
+        """Poles of modes that explain most of what a model leaves, the strongest first, and how much.
+
+        Of those that explain less than the `least` only some.
+        """
         raise NotImplementedError
 
     def model(self, projection: FreeProjection) -> FreeModel:
@@ -279,7 +282,7 @@ class Records(FreeSearch):
             sums[spectrum.record.outputs] += spectrum.energies(part)
         return sums
 
-    def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
+    def candidates(self, model: FreeModel, least: float = 0.0) -> tuple[ComplexArray, Array]:
         """Of windows of all widths, the poles that explain most."""
         joined: list[tuple[ChannelSpectra, list[ComplexArray]]] = []
         for spectrum, part in zip(self.spectra, model.residuals, strict=True):
@@ -287,7 +290,7 @@ class Records(FreeSearch):
                 joined[-1][1].append(part)
             else:
                 joined.append((spectrum, [part]))
-        candidates = [Channels.of(spectrum).modes(np.concatenate(parts)) for spectrum, parts in joined]
+        candidates = [Channels.of(spectrum).modes(np.concatenate(parts), least) for spectrum, parts in joined]
         return strongest(candidates, self.region.bin)
 
 
@@ -318,16 +321,18 @@ class Channels:
         """Those of a record."""
         return cls(spectrum.U, spectrum.length, spectrum.hold, spectrum.record.ceiling)
 
-    def modes(self, residuals: ComplexArray) -> tuple[ComplexArray, Array]:
+    def modes(self, residuals: ComplexArray, least: float = 0.0) -> tuple[ComplexArray, Array]:
         """Poles of modes that explain something of what is left of outputs (q, K), and how much; O(q T).
 
-        Each within a window, in windows of several widths everywhere; bins of any decay in records too short for one.
+        Each within a window, in windows of several widths wherever there is as much as the `least`; bins of any decay
+        in records too short for one.
         """
         if (self._last - 1) // 2 < _LEAST:
             bins = np.arange(1, self._last + 1)
             p = np.asarray(np.nan + 2j * np.pi / (self.length * self.hold.h) * bins, complex)
             return p, np.asarray(2.0 / self.length * np.sum(np.abs(residuals[:, bins]) ** 2, axis=0))
-        return _joined([self._local(residuals, half, centres) for half, centres in _windows(residuals, 1, self._last)])
+        windows = _windows(residuals, 1, self._last, 0.5 * self.length * least)
+        return _joined([self._local(residuals, half, centres) for half, centres in windows])
 
     def peak(self, residuals: ComplexArray, place: float) -> tuple[float, float]:
         """Half-width of one mode within the narrowest window about a place (in bins), and its share of the power."""
@@ -385,8 +390,12 @@ def local_modes(E: ComplexArray, inputs: ComplexArray, s: ComplexArray, half: Ar
     return pole, np.sum(products.conj() * solved, axis=(1, 2)).real
 
 
-def _windows(residuals: ComplexArray, first: int, count: int) -> Iterator[tuple[int, Indices]]:
-    """Half-widths and centres of windows of several widths among so many columns of what is left, some at a time."""
+def _windows(residuals: ComplexArray, first: int, count: int, least: float) -> Iterator[tuple[int, Indices]]:
+    """Half-widths and centres of windows of several widths among so many columns of what is left, some at a time.
+
+    No mode explains more of a window than there is in it: those with a square of less than the `least` are left out.
+    """
+    total = np.concatenate([[0.0], np.cumsum(np.sum(np.abs(residuals) ** 2, axis=0))])
     for half in TUNING.widths_of_peaks:
         if 4 * half > count and half > TUNING.widths_of_peaks[0]:
             return
@@ -395,7 +404,9 @@ def _windows(residuals: ComplexArray, first: int, count: int) -> Iterator[tuple[
             return
         centres = first + np.arange(half, count - half, max(1, half // 6))
         if count > _EVERYWHERE:
-            centres = _peaking(residuals, half, centres)
+            centres = _peaking(total, half, centres)
+        # sums of squares are rounded
+        centres = centres[total[centres + half + 1] - total[centres - half] >= least - len(total) * EPS * total[-1]]
         size = max(1, TUNING.piece // (len(residuals) * (2 * half + 1)))
         for k in range(0, len(centres), size):
             yield half, centres[k : k + size]
@@ -414,10 +425,9 @@ def _joined(candidates: Sequence[tuple[ComplexArray, Array]]) -> tuple[ComplexAr
     return p, gain
 
 
-def _peaking(residuals: ComplexArray, half: int, centres: Indices) -> Indices:
-    """Centres about which most is left."""
+def _peaking(total: Array, half: int, centres: Indices) -> Indices:
+    """Centres about which most is left, by the sums of squares `total` up to each column."""
     width = max(1, half // 3)
-    total = np.concatenate([[0.0], np.cumsum(np.sum(np.abs(residuals) ** 2, axis=0))])
     power = total[centres + width] - total[centres - width]
     about = highest_peaks(power, _PEAKS)[:, None] + np.arange(-1, 2)
     return centres[np.unique(np.clip(about, 0, len(centres) - 1))]
@@ -497,7 +507,7 @@ class Responses(FreeSearch):
             sums[rows.outputs] += np.sum(np.abs(part) ** 2, axis=1)
         return sums
 
-    def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
+    def candidates(self, model: FreeModel, least: float = 0.0) -> tuple[ComplexArray, Array]:
         """Of windows of several widths, or of many places among few points, the poles that explain most."""
         if self.classical or all(len(rows.frequencies) <= 2 * _LEAST for rows in self.data):
             return self._scanned(model.p)
@@ -511,7 +521,7 @@ class Responses(FreeSearch):
                 joined[-1][2].append(weights)
             else:
                 joined.append((rows.frequencies, [everywhere], [weights]))
-        candidates = [_modes_of_lines(omega, np.concatenate(parts), np.concatenate(weights).mean(axis=0))
+        candidates = [_modes_of_lines(omega, np.concatenate(parts), np.concatenate(weights).mean(axis=0), least)
                       for omega, parts, weights in joined]  # fmt: skip
         return strongest(candidates, self.region.bin)
 
@@ -594,12 +604,12 @@ class Responses(FreeSearch):
         return strongest([(tried, gains)], self.region.bin)
 
 
-def _modes_of_lines(omega: Array, residuals: ComplexArray, weight: Array) -> tuple[ComplexArray, Array]:
+def _modes_of_lines(omega: Array, residuals: ComplexArray, weight: Array, least: float) -> tuple[ComplexArray, Array]:
     """Poles of modes that explain something of what is left of responses (q, K), and how much.
 
     Each beside a straight line, within a window of so many points, which need not be equidistant.
     """
-    windows = _windows(residuals * weight, 0, len(omega))
+    windows = _windows(residuals * weight, 0, len(omega), least)
     return _joined([_local_lines(omega, residuals, weight, half, centres) for half, centres in windows])
 
 

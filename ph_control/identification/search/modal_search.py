@@ -31,7 +31,7 @@ from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Progress
 from ..uncertainty.residual_tests import ljung_box
 from .circumstances import Cause, Finding
-from .criteria import Criteria, past_of_noise, stands_out
+from .criteria import Criteria, least_gain, past_of_noise, stands_out
 from .free_search import FreeModel, FreeSearch, Records, Responses
 from .held_out import foretelling_order
 from .response_noise import ROUNDS, SETTLED, NoiseLaw, balanced, entry_laws
@@ -45,6 +45,7 @@ _ROUNDS = 6  # of fit and variances in turn
 _SETTLED = 1e-6  # relative change of the likelihood, over the samples
 _ROUGH = 1e-5  # relative decrease of the loss at which refinements on the way end
 _EXACT = 1e-13  # relative decrease of the loss at which the last refinement ends
+_DECIDED = 0.01  # decrease, in variances of the noise, at which what belongs to the model beside poles can be told
 _GROWING = 3.0  # standard errors of a decay rate beyond which a mode grows
 _LARGE = 0.01  # of the power of all outputs: with less no mode is taken to grow
 _MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
@@ -1283,21 +1284,24 @@ class FreePath:
         self.weigh(model.losses)
         return self.model(model.p)
 
-    def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
-        """Poles that stand out of what is left, the strongest first."""
-        if self._shown is not None and self._shown[0] is model:
+    def candidates(self, model: FreeModel, every: bool = False) -> tuple[ComplexArray, Array]:
+        """Poles that stand out of what is left, the strongest first, or `every`: gains of what does not are 0."""
+        if self._shown is not None and self._shown[0] is model and not every:
             return self._shown[1]
         if self.crowded:  # none stands out by itself
             return np.zeros(0, complex), np.zeros(0)
-        p, gains = self.scaled.candidates(model)
-        now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(np.append(model.p, 1j))
         if isinstance(self.search, Responses) and self.search.classical:
             # beside modes that are missing nothing stands out of few points: all are doubted at the end
-            return p, gains
-        loss = float(np.sum(model.losses * self.sizes**2))
-        shown = [stands_out(gain, loss, int(self.counts.sum()), now, then - now) for gain in gains.tolist()]
-        self._shown = model, (p, gains * np.array(shown, bool))
-        return self._shown[1]
+            return self.scaled.candidates(model)
+        now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(np.append(model.p, 1j))
+        loss, samples = float(np.sum(model.losses * self.sizes**2)), int(self.counts.sum())
+        least = 0.0 if every else least_gain(loss, samples, now, then - now)
+        p, gains = self.scaled.candidates(model, least)
+        shown = [stands_out(gain, loss, samples, now, then - now) for gain in gains.tolist()]
+        gains = gains * np.array(shown, bool)
+        if not every:
+            self._shown = model, (p, gains)
+        return p, gains
 
     def through_orders(self, start: ComplexArray, most: int) -> None:
         """Let modes join one by one from a start up to a number of them; the table has the best of each order.
@@ -1476,6 +1480,8 @@ class FreePath:
     def with_modes(self, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
         """One more mode, or several, that do not only mend the shape of others; if need be, and order, what does."""
         p, gains = self.candidates(model)
+        if not (automatic or gains.any()):
+            p, gains = self.candidates(model, every=True)
         if not len(p) or (automatic and not gains.any()):
             return None
         band = self.search.region.bin
@@ -1689,20 +1695,23 @@ class FreePath:
         then the poles stay as they are.
         """
         self.whiten(model.innovations, model.losses)
-        projection, losses = self.settled(model.p, None, interrupted)
+        # the exact minimum is that of what remains
+        near = None if interrupted else _DECIDED / float(self.counts.sum())
+        projection, losses = self.settled(model.p, None, near)
         while automatic and (needless := self.needless(projection)) is not None:
-            projection, losses = self.settled(np.delete(projection.p, needless), None, False)
+            projection, losses = self.settled(np.delete(projection.p, needless), None, near)
         fed: Mask | None = None
         if projection.has_feedthrough and not self.felt.all():
             fed = self.felt | self.stands_out(projection)
             if not fed.all():
-                projection, losses = self.settled(projection.p, fed, interrupted)
+                projection, losses = self.settled(projection.p, fed, near, projection)
         # noise of slow colour hides a constant that is still the level of the output
         if self.constant_open and not (interrupted or model.innovations):
-            projection, losses = self.without_needless_constants(projection, losses, fed)
-        projection, losses = self.on_simplest_background(projection, losses, fed, interrupted)
-        rank = np.argsort(projection.d)
-        projection = FreeProjection(projection.experiments, projection.p[rank], fed)
+            projection, losses = self.without_needless_constants(projection, losses, fed, near)
+        projection, losses = self.on_simplest_background(projection, losses, fed, near)
+        if not interrupted:
+            projection, losses = self.settled(projection.p, fed, _EXACT, projection)
+        projection = projection.ascending()
         unknowns = self._unknowns_of(projection.p) - (0 if fed is None else int(np.sum(~fed)))
         table = tuple(self.table[n] for n in sorted(self.table))
         criteria = self.criteria(self.loglik(losses), unknowns)
@@ -1715,7 +1724,7 @@ class FreePath:
         )  # fmt: skip
 
     def without_needless_constants(
-        self, projection: FreeProjection, losses: Array, fed: Mask | None
+        self, projection: FreeProjection, losses: Array, fed: Mask | None, rtol: float | None
     ) -> tuple[FreeProjection, Array]:
         """The minimum without constants of the outputs, unless these stand out; with what it leaves of the outputs.
 
@@ -1729,7 +1738,7 @@ class FreePath:
             return projection, losses
         kept = self.plain, self.search
         self.drop_constants(losses)
-        level, level_losses = self.settled(projection.p, fed, False)
+        level, level_losses = self.settled(projection.p, fed, rtol)
         if weak or 2 * (self.loglik(losses) - self.loglik(level_losses)) < least:
             return level, level_losses
         self.plain, self.search = kept
@@ -1752,7 +1761,7 @@ class FreePath:
         path = FreePath(search, self.felt, self.criterion, self.reports, None, self.real_poles)
         path.weigh(self.best.losses)
         model = path.model(modes, TUNING.rough)
-        projection, _ = path.on_simplest_background(model.projection, model.losses, None, True)
+        projection, _ = path.on_simplest_background(model.projection, model.losses, None, None)
         limit = self.cost(self.best) - 2 * TUNING.sure
         remaining_terms = path.search.terms if isinstance(path.search, Responses) else []
         if not set(remaining_terms) - set(self.search.terms) or path.cost(path.judged(projection)) > limit:
@@ -1761,7 +1770,7 @@ class FreePath:
         return path if path.cost(path.best) <= limit else None
 
     def on_simplest_background(
-        self, projection: FreeProjection, losses: Array, fed: Mask | None, as_it_is: bool
+        self, projection: FreeProjection, losses: Array, fed: Mask | None, rtol: float | None
     ) -> tuple[FreeProjection, Array]:
         """The minimum without the terms of the background that the criterion does not ask for."""
         while isinstance(self.search, Responses) and self.search.terms:
@@ -1776,24 +1785,28 @@ class FreePath:
                 break
             self.search = self.search.without_term(weakest)
             self.weigh(losses)
-            projection, losses = self.settled(projection.p, fed, as_it_is)
+            projection, losses = self.settled(projection.p, fed, rtol)
         return projection, losses
 
-    def settled(self, p: ComplexArray, fed: Mask | None, as_it_is: bool) -> tuple[FreeProjection, Array]:
-        """The minimum over all data, with the variances that belong to it; and the losses of outputs."""
-        before, alone = -np.inf, as_it_is or len(self.counts) == 1
-        if as_it_is:
+    def settled(
+        self, p: ComplexArray, fed: Mask | None, rtol: float | None, known: FreeProjection | None = None
+    ) -> tuple[FreeProjection, Array]:
+        """The minimum over all data, with the variances that belong to it; and the losses of outputs.
+
+        To a decrease of the loss by `rtol` of itself; with None at the poles as they are.
+        """
+        before, alone = -np.inf, rtol is None or len(self.counts) == 1
+        if rtol is None:
             projection = FreeProjection(self.scaled.data, p, fed)
         else:
-            projection = self.refined(p, _EXACT if alone else TUNING.rough, fed)
+            projection = self.refined(p, rtol if alone else TUNING.rough, fed, known)
         for _ in range(_ROUNDS):
-            losses = self.in_data(projection.losses)
+            losses, sizes = self.in_data(projection.losses), self.sizes
             now = self.loglik(losses)
             self.weigh(losses)
-            if alone:
-                projection = FreeProjection(self.scaled.data, projection.p, fed)
-            else:
-                projection = self.refined(projection.p, _EXACT, fed)
+            projection = projection.rescaled(self.scaled.data, self.sizes / sizes, fed)
+            if rtol is not None and not alone:
+                projection = self.refined(projection.p, rtol, fed, projection)
             if alone or now - before <= _SETTLED * max(1.0, abs(now)) / len(losses):
                 break
             before = now
@@ -1816,10 +1829,13 @@ class FreePath:
         )
         return weakest if without <= with_it else None
 
-    def refined(self, p: ComplexArray, rtol: float, fed: Mask | None) -> FreeProjection:
-        """Modes refined over all data."""
-        data, region = self.scaled.data, self.scaled.region
-        return refine_free(lambda _: data, p, region, rtol, fed, progress=self.report(max(1, _modes(p))))
+    def refined(
+        self, p: ComplexArray, rtol: float, fed: Mask | None, known: FreeProjection | None = None
+    ) -> FreeProjection:
+        """Modes refined over all data, of which something may be `known` at some poles."""
+        data, region, report = self.scaled.data, self.scaled.region, self.report(max(1, _modes(p)))
+        last = rtol <= _EXACT
+        return refine_free(lambda _: data, p, region, rtol, fed, last=last, progress=report, known=known)
 
     def stands_out(self, projection: FreeProjection) -> Mask:
         """Which of all that may be fed through is more than its error shows."""

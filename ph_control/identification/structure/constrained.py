@@ -23,7 +23,7 @@ from ..regression.free import Delays, FreeProjection, GivenResidues, Sensitivity
 from ..regression.sections import PoleRegion
 from ..regression.triangular import reduced
 from ..regression.tuning import TUNING
-from ..regression.variable_projection import refine
+from ..regression.variable_projection import Refinement, continue_refinement, refine
 from .coordinates import MatrixCoordinates, ShapeCoordinates, StructureCoordinates
 from .layout import ChannelLayout
 from .passive import PassivePoint, made_passive, nearest_passive
@@ -329,32 +329,61 @@ def constrained(
         return nearest_passive_fit(
             projection, layout, lambda: constrained(projection, layout, "classical", region, _ITERATIONS)
         )
-    residues, through = layout.split(projection.shared, len(projection.p))
-    crowded = is_crowded(projection, region)
-    x = coordinates.start(residues, through)
-    if (projection.deficiency or crowded) and isinstance(coordinates, ShapeCoordinates) and coordinates.real:
-        # where data show sums of residues only, those of the free fit may have any sign and size
-        residues = coordinates.turned_to_positive(residues)
+    return Approach.towards(projection, layout, hypothesis, region, delays).at_most(iterations).fit
+
+
+@dataclass(frozen=True)
+class Approach:
+    """The way from a free fit to the minimum of a structure, to be followed further from where it has come to."""
+
+    hypothesis: str
+    problem: ConstrainedProblem
+    refinement: Refinement[ConstrainedProjection]
+
+    @classmethod
+    def towards(
+        cls, projection: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion,
+        delays: Delays | None = None,
+    ) -> Approach:  # fmt: skip
+        """The beginning: the minimum in the tangent of the free fit, where the structure is near to this."""
+        coordinates = coordinates_of(projection, layout, hypothesis)
+        residues, through = layout.split(projection.shared, len(projection.p))
+        crowded = is_crowded(projection, region)
         x = coordinates.start(residues, through)
-        x = _with_best_sizes(projection, coordinates, x) if np.all(projection.p.imag > 0) else x
-    problem = ConstrainedProblem(coordinates, projection, region, coordinates.free(x), delays=delays)
-    most, last = _ITERATIONS if iterations is None else iterations, iterations is None
-    x = problem.inside(x if delays is None else np.append(x, delays.values))
-    if delays is None and not crowded and coordinates.sections_at(x).keeps_kinds(projection.sections):
-        tangent = replace(problem, tangent=Tangent(projection))
-        x = refine(tangent, x, rtol=TUNING.rough, max_iterations=max(most, _FEW), last=False).projection.x
-    refinement = refine(problem, x, rtol=_EXACT, max_iterations=most, last=last)
-    end = _at_bound(problem, refinement.projection) if refinement.converged else refinement.projection
-    if end is not refinement.projection:
-        refinement = refine(problem, end.x, rtol=_EXACT, max_iterations=most, last=last)
-        end = refinement.projection
-    known = end.x[: coordinates.size]
-    shapes, participation = coordinates.shapes(known) if isinstance(coordinates, ShapeCoordinates) else (None, None)
-    parameters = coordinates.dof - end.deficiency + (0 if delays is None else delays.count)
-    return StructuredFit(
-        hypothesis, STRUCTURES[hypothesis], end.p, end.residues, end.feedthrough, shapes, participation, end.loss,
-        parameters, variance, cast(GivenResidues, end.data), refinement.converged, end, end.delays,
-    )  # fmt: skip
+        if (projection.deficiency or crowded) and isinstance(coordinates, ShapeCoordinates) and coordinates.real:
+            # where data show sums of residues only, those of the free fit may have any sign and size
+            residues = coordinates.turned_to_positive(residues)
+            x = coordinates.start(residues, through)
+            x = _with_best_sizes(projection, coordinates, x) if np.all(projection.p.imag > 0) else x
+        problem = ConstrainedProblem(coordinates, projection, region, coordinates.free(x), delays=delays)
+        x = problem.inside(x if delays is None else np.append(x, delays.values))
+        if delays is None and not crowded and coordinates.sections_at(x).keeps_kinds(projection.sections):
+            tangent = replace(problem, tangent=Tangent(projection))
+            x = refine(tangent, x, rtol=TUNING.rough, max_iterations=_FEW, last=False).projection.x
+        return cls(hypothesis, problem, Refinement(problem.project(x), converged=not len(x)))
+
+    def at_most(self, iterations: int | None) -> Approach:
+        """The same after so many iterations in all, or at the minimum: with None it is followed to its last digit."""
+        most, last = _ITERATIONS if iterations is None else iterations, iterations is None
+        end = continue_refinement(self.problem, replace(self.refinement), rtol=_EXACT, max_iterations=most, last=last)
+        if end.converged:
+            projection = _at_bound(self.problem, end.projection)
+            if projection is not end.projection:
+                end = refine(self.problem, projection.x, rtol=_EXACT, max_iterations=most, last=last)
+        return replace(self, refinement=end)
+
+    @property
+    def fit(self) -> StructuredFit:
+        """The model that it has come to."""
+        coordinates, start, end = self.problem.coordinates, self.problem.start, self.refinement.projection
+        known = end.x[: coordinates.size]
+        shapes, participation = coordinates.shapes(known) if isinstance(coordinates, ShapeCoordinates) else (None, None)
+        parameters = coordinates.dof - end.deficiency + (0 if end.delays is None else end.delays.count)
+        variance = start.loss / max(1, start.rows - start.unknowns)
+        return StructuredFit(
+            self.hypothesis, STRUCTURES[self.hypothesis], end.p, end.residues, end.feedthrough, shapes, participation,
+            end.loss, parameters, variance, cast(GivenResidues, end.data), self.refinement.converged, end, end.delays,
+        )  # fmt: skip
 
 
 def is_crowded(projection: FreeProjection, region: PoleRegion) -> bool:

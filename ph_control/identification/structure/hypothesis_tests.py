@@ -13,7 +13,7 @@ from ..._checks import EPS
 from ..diagnosis.verdict import HypothesisTest
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.sections import PoleRegion
-from .constrained import StructuredFit, constrained, is_crowded, nearest_passive_fit
+from .constrained import Approach, StructuredFit, constrained, is_crowded, nearest_passive_fit
 from .layout import ChannelLayout
 
 SIMPLEST_FIRST = ("lossless", "classical")
@@ -129,8 +129,10 @@ def _tested(
     efforts: list[tuple[int | None, float]] = [(0, _BEYOND), (_ITERATIONS, 1.0), (None, 1.0)]
     if is_crowded(projection, region):
         efforts = [(_ITERATIONS, _BEYOND), (None, 1.0)]
+    approach = Approach.towards(projection, layout, hypothesis, region)
     for iterations, beyond in efforts:
-        fit = constrained(projection, layout, hypothesis, region, iterations)
+        approach = approach.at_most(iterations)
+        fit = approach.fit
         test = likelihood_test(projection, fit, parameters - fit.parameters)
         if fit.converged or (test.p < _HOPELESS and test.likelihood_ratio > beyond * test.dof):
             break
