@@ -45,7 +45,7 @@ from ..regression.prediction import (
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.circumstances import HOLDS, REJECTED, Cause, Finding, sentence_of
-from ..search.modal_search import FreeFit, feedthrough_of, free_fit
+from ..search.modal_search import FreeFit, feedthrough_of, free_fit, is_short
 from ..search.progress import Callback, reporter
 from ..search.starting_poles import poles_of
 from ..structure.constrained import StructuredFit, constrained
@@ -217,8 +217,10 @@ def _decays(channels: Sequence[Recording]) -> bool:
 
 
 def _in_noise_of(noise: str, fit: FreeFit, orders: bool) -> FreeFit:
-    """A fit in the noise that is given, or the likeliest."""
+    """A fit in the noise that is given, or the likeliest; where hits act in a part of a record, noise may change."""
     if noise == "auto":
+        if any(is_short(rows) for rows in fit.projection.experiments if isinstance(rows, FreeRecord)):
+            return fit
         return beside_forces(fit, orders=orders)
     return beside_forces(fit, (noise,), certain=True, orders=orders) if noise in KINDS else fit
 

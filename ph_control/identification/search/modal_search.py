@@ -264,8 +264,8 @@ def free_fit(
         Whether lines of a response that are far larger than those about them may be left out, where the BIC prefers
         values of their own to modes that explain them.
     beside : callable, optional
-        Called with the first fit and whether the number of modes is open, to give that in noise of another kind;
-        drifts and delays, which such noise may look like, are then not looked for.
+        Called with a fit and whether the number of modes is open, to give that in noise of another kind; delays,
+        which such noise may look like, are then not looked for.
     white : bool
         Whether the noise of each output is taken as white.
 
@@ -317,10 +317,10 @@ def free_fit(
         fit = _from_peaks(fit, path, search)
     if automatic and real_poles in ("auto", 0) and not fit.interrupted:
         fit = _of_few_lines(fit, path.of_few_lines(), min(max_order, path.carried))
-    fit = fit if fit.interrupted else beside(fit, orders=automatic)
-    if fit.beside is not None:
-        return fit
-    return _beside_all_else(fit.with_delay_open(delay is None), search, weighted, offset == "auto")
+    # what modes that are missing leave says nothing of the noise
+    short = automatic and fit.order >= most
+    noise: Beside = (lambda fit: fit) if short else partial(beside, orders=automatic)
+    return _beside_all_else(fit.with_delay_open(delay is None), search, weighted, offset == "auto", noise)
 
 
 @dataclass(frozen=True)
@@ -342,7 +342,7 @@ class _Search:
         return path.fit(begin, self.most, self.automatic, channels, either_hold=self.held is None)
 
 
-def _beside_all_else(fit: FreeFit, search: _Search, weighted: bool, drifting: bool) -> FreeFit:
+def _beside_all_else(fit: FreeFit, search: _Search, weighted: bool, drifting: bool, noise: Beside) -> FreeFit:
     """The fit with what its data show beside modes: noise that grows with gains of responses, or drifts and delays."""
     # what crowded modes leave is no noise whose law could be told
     if fit.interrupted or fit.rounding or fit.crowded or (fit.per_entry and weighted) or not (fit.states or fit.noise):
@@ -350,7 +350,7 @@ def _beside_all_else(fit: FreeFit, search: _Search, weighted: bool, drifting: bo
     try:
         if fit.per_entry:
             return _in_noise_of_the_gain(fit, search)
-        return _beside_drifts_and_delays(fit, _searches_anew(fit, search, drifting), drifting)
+        return _beside_drifts_and_delays(fit, _searches_anew(fit, search, drifting), drifting, noise)
     except KeyboardInterrupt:
         return replace(fit, interrupted=True)
 
@@ -652,12 +652,18 @@ def _of_long(
 
 # --- drifts and delays -----------------------------------------------------------------------------------------------
 
+Beside = Callable[[FreeFit], FreeFit]
 Anew = Callable[[Array, int, ComplexArray | None], FreeFit]  # search, or from poles, with delays and terms of offsets
 
 
-def _beside_drifts_and_delays(fit: FreeFit, anew: Anew, drifting: bool) -> FreeFit:
-    """The fit beside the drifts of outputs, where these may be `drifting`, and with the delays that are open."""
-    level = _beside_drift(fit, anew) if drifting else fit
+def _beside_drifts_and_delays(fit: FreeFit, anew: Anew, drifting: bool, noise: Beside) -> FreeFit:
+    """The fit beside the drifts of outputs, where these may be `drifting`, and with the delays that are open.
+
+    Noise of another kind may look like a delay.
+    """
+    level = noise(_beside_drift(fit, anew) if drifting else fit)
+    if level.beside is not None:
+        return level
     late = _on_time(level, anew) if fit.delay_open else level
     if not drifting:
         return late
