@@ -76,7 +76,7 @@ def test_hits_keep_their_shapes_where_the_recorded_force_is_noisy():
 def test_noise_that_comes_through_the_modes_is_told_with_its_size(noise):
     result = phc.pem(recording(2, 1, 1, noise, 0, 3000), 2, dt=1.0, structure="free")
     finding = causes(result)["FORCES"]
-    np.testing.assert_allclose(finding.values, [0.1], rtol=0.15)
+    np.testing.assert_allclose(finding.values, [0.1], rtol=0.25)
     assert finding.gain > 100 and "move the plant" in result.message and result.outcome.name == "CONSISTENT"
 
 
