@@ -84,6 +84,11 @@ class SpectralWindow:
         turned = self.values * np.exp(-2j * np.pi * apart * np.arange(self.length) / self.length)
         return np.asarray(signal.correlate(self.values.astype(complex), turned, "full", "fft"))
 
+    def has_lines(self, omega: Array) -> bool:
+        """Whether there are lines at all of some frequencies."""
+        place = omega / self.line
+        return bool(np.all(np.abs(place - np.rint(place)) <= _OFF_LINES) and np.all(place < self.length / 2 + 0.5))
+
     def lines(self, omega: Array) -> Indices:
         """Number of the line at each frequency; refuse frequencies between lines or beyond the Nyquist frequency."""
         place = omega / self.line
@@ -178,13 +183,6 @@ def _named(window: Any) -> tuple[str, Array]:
     return "", values
 
 
-def decaying_answers(
-    window: SpectralWindow, first: Array, answers: Array, omega: Array
-) -> ComplexArray:
-    """Mean of the estimate, over the response of the hold, of samples that answer `first` at once and then `answers`.
-
-    Shapes (..) and (.., N - 1); O(N log N).
-    """
-    r = window.correlation
-    folded = np.concatenate([np.asarray(first)[..., None], answers * r[1:]], axis=-1)
-    return np.asarray(np.fft.fft(folded)[..., window.lines(omega)] / window.hold_at(omega))
+def estimated_response(window: SpectralWindow, answers: Array, omega: Array) -> ComplexArray:
+    """Mean of the estimate, over the response of the hold, where samples answer so, shape (.., N), to a unit sample."""
+    return np.asarray(np.fft.fft(answers * window.correlation)[..., window.lines(omega)] / window.hold_at(omega))

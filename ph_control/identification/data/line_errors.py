@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cholesky_banded, solve_banded
@@ -27,6 +28,7 @@ class LineErrors:
     covariances: ComplexArray
     relations: ComplexArray
     noise: Array
+    law: Any = field(default=None, init=False, repr=False)  # of all entries together, where a fit has just made it
 
     def factor(self, output: int, input: int, observed: Mask) -> BandedFactor:
         """That of the errors of an entry where it was observed (K,)."""
@@ -78,7 +80,7 @@ class BandedFactor:
                 return cls(cholesky_banded(raised, lower=True))
             except np.linalg.LinAlgError:
                 pass
-        return cls(np.sqrt(real[:1]))
+        return cls(np.sqrt(np.maximum(real[:1], np.finfo(float).tiny)))
 
     def whitened(self, values: ComplexArray) -> ComplexArray:
         """Rows (q, K) made such that errors have variance 1 in each part, and no correlation."""
@@ -93,6 +95,17 @@ class BandedFactor:
         for d in range(1, len(self.bands)):
             rows[:, d:] += parts[:, :-d] * self.bands[d, :-d]
         return rows.view(complex)
+
+    def turned_back(self, rows: Array) -> Array:
+        """`L^-T` times columns (2 K, k) of rows, real parts first, as these are in the result."""
+        half, width = len(rows) // 2, len(self.bands)
+        mixed = np.empty_like(rows)
+        mixed[::2], mixed[1::2] = rows[:half], rows[half:]
+        upper = np.zeros_like(self.bands)
+        for d in range(width):
+            upper[width - 1 - d, d:] = self.bands[d, : self.bands.shape[1] - d]
+        solved = solve_banded((0, width - 1), upper, mixed)
+        return np.concatenate([solved[::2], solved[1::2]])
 
     @property
     def deviations(self) -> Array:

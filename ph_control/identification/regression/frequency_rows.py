@@ -13,6 +13,7 @@ from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, Mask
 from ...analysis.spectral_window import SpectralWindow
 from ..data.line_errors import BandedFactor
+from .shared_errors import SharedErrors
 from .spectral_rows import real_rows, stacked, thinned_places
 from .time_rows import Evaluation
 from .tuning import TUNING
@@ -59,7 +60,7 @@ class FreeResponse:
     the responses without it.
 
     Those estimated with a `window` show modes as it does.  Where errors are correlated, rows are those in which they
-    are `white`, in place of a scale.
+    are `white`, in place of a scale; `shared_errors` are those that entries have in common.
     """
 
     frequencies: Array
@@ -74,6 +75,7 @@ class FreeResponse:
     delay: float | None = None
     window: SpectralWindow | None = None
     white: BandedFactor | None = None
+    shared_errors: SharedErrors | None = None
     moving: ClassVar[bool] = False
     inputs: ClassVar[int] = 1
     acting: ClassVar[Indices] = np.zeros(1, int)

@@ -33,10 +33,10 @@ class Peaks(NamedTuple):
 
 
 def windowed_peaks(window: SpectralWindow, omega: Array, p: ComplexArray) -> Peaks:
-    """Modes of unit residue as a window shows them; O(n N log N)."""
-    lines, r, k = window.lines(omega), window.correlation, np.arange(window.length - 1)
+    """Modes of unit residue as a window shows them; O(n N log N) at lines, and O(n N K) at any other frequencies."""
+    r, k = window.correlation, np.arange(window.length - 1)
     if window.hold == "bandlimited":
-        return _bandlimited(window, omega, lines, p)
+        return _bandlimited(window, omega, p)
     step = SampledModes.of(Hold(window.step, "exact", window.hold), p)
     log = p[:, None] * window.step
     powers = np.exp(log * k)  # of the answer after a sample or more
@@ -46,18 +46,21 @@ def windowed_peaks(window: SpectralWindow, omega: Array, p: ComplexArray) -> Pea
     fading = r[1:] * powers
     values = np.concatenate([b1, weight * fading], axis=1)
     slopes = np.concatenate([step.b1_slope[:, None], (weight_slope + weight * (k * window.step)) * fading], axis=1)
-    pairs = [_at_lines(each, lines) for each in (values, slopes)]
+    pairs = [_transforms(each, window, omega) for each in (values, slopes)]
     held = window.hold_at(omega)
     return Peaks(*(part / held for part in (pairs[0][0], pairs[0][1], pairs[1][0], pairs[1][1])))
 
 
-def _at_lines(values: ComplexArray, lines: Indices) -> tuple[ComplexArray, ComplexArray]:
-    """Transforms (n, K) of answers (n, N) at lines, and those of the conjugate answers."""
-    transform = np.fft.fft(values)
-    return transform[:, lines], transform[:, -lines].conj()
+def _transforms(values: ComplexArray, window: SpectralWindow, omega: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Transforms (n, K) of answers (n, N), and those of the conjugate answers."""
+    if window.has_lines(omega):
+        lines, transform = window.lines(omega), np.fft.fft(values)
+        return transform[:, lines], transform[:, -lines].conj()
+    turns = np.exp(-1j * window.step * np.multiply.outer(np.arange(window.length), omega))
+    return values @ turns, values.conj() @ turns
 
 
-def _bandlimited(window: SpectralWindow, omega: Array, lines: Indices, p: ComplexArray) -> Peaks:
+def _bandlimited(window: SpectralWindow, omega: Array, p: ComplexArray) -> Peaks:
     """The same for inputs without content beyond the Nyquist frequency: integrals in place of sums.
 
     What sums fold back from beyond it is that of peaks without a window, as it is far from them.
@@ -65,7 +68,7 @@ def _bandlimited(window: SpectralWindow, omega: Array, lines: Indices, p: Comple
     h, r, k = window.step, window.correlation, np.arange(window.length)
     fading = h * r * np.exp(p[:, None] * h * k)
     fading[:, 0] *= 0.5
-    values, slopes = _at_lines(fading, lines), _at_lines(fading * (k * h), lines)
+    values, slopes = (_transforms(each, window, omega) for each in (fading, fading * (k * h)))
     s = 1j * omega
     folded = [_folded(pole[:, None] - s, h) for pole in (p, p.conj())]
     return Peaks(
@@ -83,6 +86,15 @@ def _folded(q: ComplexArray, h: float) -> tuple[ComplexArray, ComplexArray]:
     exact = 1 / np.tanh(large) - 1 / large
     exact_slope = 1 / large**2 - 1 / np.sinh(large) ** 2
     return 0.5 * h * np.where(near, series, exact), 0.25 * h**2 * np.where(near, slope, exact_slope)
+
+
+def response_through(
+    window: SpectralWindow, omega: Array, p: ComplexArray, residues: ComplexArray, feedthrough: Array
+) -> ComplexArray:
+    """Response (q, m, K) as a window shows it, of residues (n, q, m), those of real poles halved, and (q, m)."""
+    peaks = windowed_peaks(window, omega, p)
+    modes = np.einsum("lqi,lk->qik", residues, peaks.ahead) + np.einsum("lqi,lk->qik", residues.conj(), peaks.behind)
+    return np.asarray(modes + feedthrough[..., None] / window.hold_at(omega))
 
 
 # --- the law of the errors --------------------------------------------------------------------------------------------
@@ -124,9 +136,12 @@ class WindowErrors:
 
     def relation(self, lines: Indices, entry: tuple[int, int], other: tuple[int, int]) -> ComplexArray:
         """Diagonals of the moments without conjugate of two entries, (output, input), at some lines."""
+        return among(self.relation_at(entry, other), lines - self.first)
+
+    def relation_at(self, entry: tuple[int, int], other: tuple[int, int]) -> ComplexArray:
+        """The same at all lines."""
         (a, i), (b, j) = entry, other
-        products = np.sum(self.crossed[0, a, j] * self.crossed[1, b, i], axis=0)
-        return among(products, lines - self.first)
+        return np.asarray(np.sum(self.crossed[0, a, j] * self.crossed[1, b, i], axis=0))
 
 
 def error_bands(

@@ -80,6 +80,7 @@ def of_model(fit: FreeFit) -> list[ResponseMatrix]:
     projection = fit.projection
     p, m = len(fit.channels[0].output_labels), len(fit.channels[0].input_labels)
     residues = (projection.residues[:, :, 0] * fit.scales).reshape(len(projection.p), p, m)
+    residues[projection.p.imag == 0] = residues[projection.p.imag == 0].real
     feedthrough = (projection.feedthrough[:, 0] * fit.scales).reshape(p, m)
     channels = []
     for data in fit.channels:
@@ -96,7 +97,9 @@ def of_model(fit: FreeFit) -> list[ResponseMatrix]:
         covariances = np.array([[law.covariance(lines, (o, o), noise[o])] * m for o in range(p)])
         relations = np.array([[law.relation(lines, (o, i), (o, i)) for i in range(m)] for o in range(p)])
         unit = np.median(covariances[:, :, :1].real, axis=-1, keepdims=True)
-        channels.append(with_errors(data, LineErrors(covariances / unit, relations / unit, noise)))
+        errors = LineErrors(covariances / unit, relations / unit, noise)
+        object.__setattr__(errors, "law", law)
+        channels.append(with_errors(data, errors))
     return channels
 
 
