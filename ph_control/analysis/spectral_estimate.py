@@ -13,8 +13,8 @@ from .. import _checks
 from .._types import Array, ComplexArray, Mask
 from .._units import common_unit, with_unit
 from ..exceptions import StructureError
-
-INTERSAMPLE = ("zoh", "foh", "bandlimited")
+from .spectral_window import HOLDS as INTERSAMPLE
+from .spectral_window import hold_response
 
 _INPUT_FLOOR = 1e-6  # of the largest input power: 60 dB below it a bin holds the leakage of its neighbours
 _SHORTEST = 8  # samples in a segment
@@ -37,6 +37,10 @@ class SpectralEstimate(ct.FrequencyResponseData):
         Number of segments averaged.
     step : float
         Time between samples.
+    window : pair (name, N), or None
+        Window of the segments, and their samples; `pem` takes it from here.
+    intersample : {'zoh', 'foh', 'bandlimited'}
+        What the input did between samples.
     **names
         `name`, `inputs`, `outputs` as for `control.frd`.
 
@@ -50,10 +54,12 @@ class SpectralEstimate(ct.FrequencyResponseData):
     """
 
     def __init__(
-        self, response: ComplexArray, omega: Array, coherence: Array, segments: int, step: float, **names: Any
-    ) -> None:
+        self, response: ComplexArray, omega: Array, coherence: Array, segments: int, step: float,
+        window: tuple[str, int] | None = None, intersample: str = "zoh", **names: Any,
+    ) -> None:  # fmt: skip
         super().__init__(response, omega, dt=0, **names)
         self.coherence, self.segments, self.step = _checks.readonly(coherence), segments, step
+        self.window, self.intersample = window, intersample
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -143,7 +149,9 @@ def spectral_estimate(
         )
     inherited = {"name": data.sysname, "inputs": data.input_labels, "outputs": data.output_labels}
     names = {key: value for key, value in inherited.items() if value} | names
-    found = SpectralEstimate(response[0, 0], omega, coherence[0], len(pieces), step, **names)
+    found = SpectralEstimate(
+        response[0, 0], omega, coherence[0], len(pieces), step, ("hann", length), intersample, **names
+    )
     return with_unit(found, common_unit(data))
 
 
@@ -192,14 +200,6 @@ def _seen_segments(y: Array, length: int) -> list[slice]:
         )
     starts = [range(*stretch, length // 2) for stretch in zip(edges[0::2], edges[1::2] - length + 1, strict=True)]
     return [slice(start, start + length) for stretch in starts for start in stretch]
-
-
-def hold_response(theta: Array, intersample: str) -> ComplexArray | Array:
-    """Response of the hold at `theta = omega * step`, without what folds back from beyond the Nyquist frequency."""
-    if intersample == "bandlimited":
-        return np.ones_like(theta)
-    half = np.sinc(theta / (2.0 * np.pi))
-    return half * np.exp(-0.5j * theta) if intersample == "zoh" else half**2
 
 
 # --- several channels ------------------------------------------------------------------------------------------------

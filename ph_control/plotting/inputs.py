@@ -51,7 +51,12 @@ def is_fit(given: Any) -> bool:
 
 
 def as_measured(given: Any, response: ComplexArray, omega: Array) -> ComplexArray:
-    """Response (p, m, K) of a model as it was measured: of a result on its background, and with its delay."""
+    """Response (p, m, K) of a model as it was measured: of a result on its background, and with its delay.
+
+    Of a fit to responses that were estimated with a window, what the window makes of it.
+    """
+    if getattr(given, "window", None) is not None and hasattr(given, "estimated_response"):
+        response = given.estimated_response(omega)
     background, delay = (getattr(given, name, None) for name in ("background", "delay"))
     if background is not None:
         response = response + background.response(omega)

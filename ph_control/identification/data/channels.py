@@ -14,14 +14,17 @@ from control import FrequencyResponseData, TimeResponseData
 from ... import _checks
 from ..._types import Array, ComplexArray
 from ..._units import checked_unit
+from ...analysis.spectral_window import SpectralWindow, window_of
 from ...exceptions import IdentificationError, StructureError
 from .frequency_record import FrequencyRecord, InFrequency, checked_points, checked_weights, title_of
+from .line_errors import LineErrors
 from .time_record import (
     LONG,
     CheckedData,
     Clock,
     InTime,
     Record,
+    refuse_contradiction,
     refuse_out_of_range,
     refuse_short,
     signal,
@@ -160,6 +163,10 @@ class ResponseMatrix(InFrequency):
         What the response is called; may be empty.
     time_unit : str or None
         Unit of time that `omega` is in radians per; None where it is not known.
+    window : SpectralWindow or None
+        The window that the responses were estimated with.
+    errors : LineErrors or None
+        Covariances of the errors of such responses, as a fit has estimated them.
     """
 
     omega: Array
@@ -169,6 +176,8 @@ class ResponseMatrix(InFrequency):
     output_labels: Labels
     title: str = ""
     time_unit: str | None = None
+    window: SpectralWindow | None = None
+    errors: LineErrors | None = None
 
     def __repr__(self) -> str:
         return f"<ResponseMatrix: {self.samples} frequencies, {_shape(self)}>"
@@ -197,7 +206,7 @@ def single(data: CheckedData) -> Record | FrequencyRecord:
     if isinstance(data, ResponseMatrix):
         return FrequencyRecord(
             data.omega, data.response[0, 0], data.weights[0, 0], data.input_labels[0], data.output_labels[0],
-            data.title, data.time_unit,
+            data.title, data.time_unit, data.window, data.errors,
         )  # fmt: skip
     u, label = (data.u[0], data.input_labels[0]) if m else (np.zeros(data.samples), "u")
     return Record(
@@ -225,7 +234,8 @@ def several(data: Any) -> Recording | ResponseMatrix:
     """The same data as a `Recording` or `ResponseMatrix`, which may have several channels."""
     named = {name: getattr(data, name) for name in ("input_labels", "output_labels", "title", "time_unit")}
     if isinstance(data, FrequencyRecord):
-        return ResponseMatrix(data.omega, data.response[None, None], data.weights[None, None], **named)
+        more = {"window": data.window, "errors": data.errors}
+        return ResponseMatrix(data.omega, data.response[None, None], data.weights[None, None], **named, **more)
     if not isinstance(data, Record):
         return data
     return Recording(data.clock, data.dt, data.u[None][: int(data.driven)], data.y[None], **named)
@@ -330,9 +340,51 @@ def _refuse_repeated(role: str, labels: Labels) -> None:
         raise StructureError(f"{labels.count(repeated[0])} {role}s are called {repeated[0]!r}; give each its own label")
 
 
-def response_matrix(data: FrequencyResponseData, weights: Any) -> ResponseMatrix:
-    """Check a frequency response, and sort it by frequency."""
-    omega, response = checked_points(data)
+@dataclass(frozen=True)
+class Sampling:
+    """How responses were estimated from samples, as far as it was given: window, step and hold of the input."""
+
+    window: Any = None
+    dt: float | None = None
+    hold: str = "auto"
+
+    def stated_by(self, data: Any) -> Sampling:
+        """With what data state of themselves by the attributes `window`, `step` and `intersample`."""
+        if self.window is not None or getattr(data, "window", None) is None:
+            return self
+        step = getattr(data, "step", None)
+        if step is not None:
+            refuse_contradiction(self.dt, step, "the estimate")
+        hold = getattr(data, "intersample", "auto") if self.hold == "auto" else self.hold
+        return Sampling(data.window, step or self.dt, hold)
+
+    def of(self, data: Any, omega: Array) -> SpectralWindow | None:
+        """The window at some frequencies."""
+        if self.window is None:
+            if self.dt is not None:
+                raise StructureError(
+                    "dt is the step of a record in time, and a frequency response has none; leave dt out, or give the "
+                    "window with which the response was estimated, window=('hann', N)"
+                )
+            return None
+        step = self.dt
+        if isinstance(data, FrequencyResponseData) and data.dt:
+            step = float(data.dt)
+            refuse_contradiction(self.dt, step, "the frequency response")
+        step = None if step is None else _checks.sampling_step(step)
+        return window_of(self.window, omega, step, "zoh" if self.hold == "auto" else self.hold)
+
+
+NO_SAMPLING = Sampling()
+
+
+def response_matrix(data: FrequencyResponseData, weights: Any, sampling: Sampling = NO_SAMPLING) -> ResponseMatrix:
+    """Check a frequency response, and sort it by frequency; one of samples is divided by that of their hold."""
+    sampling = sampling.stated_by(data)
+    omega, response = checked_points(data, windowed=sampling.window is not None)
+    window = sampling.of(data, omega)
+    if window is not None and data.dt:
+        response = response / window.hold_at(omega)
     names, seen = tuple(data.input_labels), tuple(data.output_labels)
     _refuse_repeated("input", names)
     _refuse_repeated("output", seen)
@@ -340,7 +392,7 @@ def response_matrix(data: FrequencyResponseData, weights: Any) -> ResponseMatrix
     matrix = ResponseMatrix(omega, response, np.ones(response.shape), names, seen, title_of(data), unit)
     matrix = weighted(matrix, weights)
     arrays = (matrix.omega[order], matrix.response[..., order], matrix.weights[..., order])
-    return ResponseMatrix(*arrays, names, seen, matrix.title, unit)
+    return ResponseMatrix(*arrays, names, seen, matrix.title, unit, window)
 
 
 def weighted(matrix: ResponseMatrix, weights: Any) -> ResponseMatrix:

@@ -15,6 +15,7 @@ from ...exceptions import IdentificationError, StructureError
 from .channels import (
     Recording,
     ResponseMatrix,
+    Sampling,
     matched,
     recording_of_pair,
     recordings_of_response,
@@ -87,7 +88,7 @@ def as_experiments(
 
 
 def as_channels(
-    data: Any, dt: Any = None, *, weights: Any = None
+    data: Any, dt: Any = None, *, weights: Any = None, window: Any = None, hold: str = "auto"
 ) -> tuple[Recording, ...] | tuple[ResponseMatrix, ...]:
     """Make checked experiments of several inputs and outputs, all in time or all in frequency.
 
@@ -100,6 +101,10 @@ def as_channels(
         Time between samples.  Needed with arrays; where the data have a time of their own, the two must agree.
     weights : array_like of float, shape (K,) or (p, m, K), or list of these (or None), optional
         What the squared error at each frequency counts; positive.  For frequency responses only.
+    window : pair (name, N), or array_like, shape (N,), optional
+        Window of the blocks that frequency responses were estimated from; by default what these state themselves.
+    hold : {'auto', 'zoh', 'foh', 'bandlimited'}
+        What the input of such responses did between samples.
 
     Returns
     -------
@@ -126,8 +131,9 @@ def as_channels(
     >>> recording
     <Recording: 5 samples, step 0.1, 3 outputs from 2 inputs>
     """
+    take = partial(_experiment, window=window, hold=hold)
     return matched(
-        _each_experiment(data, dt, weights, lambda *arguments: map(several, _experiment(*arguments))), _are_named(data)
+        _each_experiment(data, dt, weights, lambda *arguments: map(several, take(*arguments))), _are_named(data)
     )
 
 
@@ -237,30 +243,38 @@ def _are_named(data: Any) -> bool:
     return all(response.output_labels and (response.input_labels or not response.ninputs) for response in responses)
 
 
-def _refuse_mixture(data: Any, dt: Any, weights: Any, first: Any) -> None:
+def _refuse_mixture(data: Any, weights: Any, first: Any, window: Any) -> None:
     """Refuse what is no experiment, what is of another kind than the `first` of a list, and options of other kinds."""
     _refuse_unknown(data, listed=first is not None)
     spectral = _is_spectral(data)
     if first is not None and spectral != _is_spectral(first):
         kinds = ["a frequency response", "a record in time"][:: 1 if spectral else -1]
         raise StructureError(f"this is {kinds[0]}, the first is {kinds[1]}; fit the two kinds one by one")
-    if spectral and dt is not None:
-        raise StructureError("dt is the step of a record in time, and a frequency response has none; leave dt out")
+    if not spectral and window is not None:
+        raise StructureError(
+            "window belongs to frequency responses that were estimated from blocks of a record, and this is the record: "
+            "its fit needs none; leave window out"
+        )
     if not spectral and weights is not None:
         raise StructureError(
             "weights belong to frequency responses, and this is a record in time; mark samples to leave out with NaN"
         )
 
 
-def _experiment(data: Any, dt: Any, weights: Any, first: Any, output_needed: bool = True) -> tuple[Any, ...]:
+def _experiment(
+    data: Any, dt: Any, weights: Any, first: Any, output_needed: bool = True, window: Any = None, hold: str = "auto"
+) -> tuple[Any, ...]:
     """Checked data of one experiment, of one or of several channels; in a list of the kind of the `first`."""
-    _refuse_mixture(data, dt, weights, first)
+    _refuse_mixture(data, weights, first, window)
     if isinstance(data, FrequencyResponseData):
-        return (response_matrix(data, weights),)
-    if isinstance(data, FrequencyRecord):
-        return (data if weights is None else replace(data, weights=checked_weights(weights, data.samples)),)
-    if isinstance(data, ResponseMatrix):
-        return (weighted(data, weights),)
+        return (response_matrix(data, weights, Sampling(window, dt, hold)),)
+    if isinstance(data, FrequencyRecord | ResponseMatrix):
+        sampling = Sampling(window, dt, hold)
+        known = data.window if window is None and dt is None else sampling.of(data, data.omega)
+        if isinstance(data, FrequencyRecord):
+            weights = data.weights if weights is None else checked_weights(weights, data.samples)
+            return (replace(data, weights=weights, window=known),)
+        return (replace(weighted(data, weights), window=known),)
     if isinstance(data, Record | Recording):
         refuse_contradiction(dt, data.dt, "the time of the record")
         return (data,)

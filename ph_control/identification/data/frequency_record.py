@@ -11,7 +11,9 @@ from control import FrequencyResponseData
 from ... import _checks
 from ..._types import Array, ComplexArray
 from ..._units import with_unit
+from ...analysis.spectral_window import SpectralWindow
 from ...exceptions import IdentificationError, StructureError
+from .line_errors import LineErrors
 from .time_record import CheckedData, refuse_out_of_range
 
 
@@ -23,6 +25,17 @@ class InFrequency(CheckedData):
     weights: Array
     title: str
     time_unit: str | None
+    window: SpectralWindow | None
+    errors: LineErrors | None
+
+    def in_noise(self, residuals: ComplexArray) -> ComplexArray:
+        """Residuals (.., K) of each entry in units of their errors, made white where these are correlated."""
+        if self.errors is None:
+            return np.asarray(residuals * np.sqrt(self.weights))
+        rows = np.empty(residuals.shape, complex)
+        for entry in np.ndindex(residuals.shape[:-1]):
+            rows[entry] = self.errors.whitened(*(entry or (0, 0)), residuals[entry][None])[0]
+        return rows
 
     @property
     def measured(self) -> ComplexArray:
@@ -33,6 +46,9 @@ class InFrequency(CheckedData):
         """Return the data as python-control keeps them, which has no weights; names have no dots."""
         names = {"inputs": _checks.without_dots(self.input_labels), "outputs": _checks.without_dots(self.output_labels)}  # type: ignore[attr-defined]
         response = FrequencyResponseData(self.response, self.omega, **names, title=self.title or None)
+        if self.window is not None:
+            response.window, response.step = self.window.given, self.window.step
+            response.intersample = self.window.hold
         return with_unit(response, self.time_unit)
 
 
@@ -54,6 +70,10 @@ class FrequencyRecord(InFrequency):
         What the response is called; may be empty.
     time_unit : str or None
         Unit of time that `omega` is in radians per; None where it is not known.
+    window : SpectralWindow or None
+        The window that the response was estimated with.
+    errors : LineErrors or None
+        Covariances of the errors of such a response, as a fit has estimated them.
     """
 
     omega: Array
@@ -63,6 +83,8 @@ class FrequencyRecord(InFrequency):
     output_label: str = "y"
     title: str = ""
     time_unit: str | None = None
+    window: SpectralWindow | None = None
+    errors: LineErrors | None = None
 
     def __post_init__(self) -> None:
         weights = np.ones(len(self.omega)) if self.weights is None else self.weights
@@ -84,13 +106,14 @@ class FrequencyRecord(InFrequency):
         return (self.output_label,)
 
 
-def checked_points(data: FrequencyResponseData) -> tuple[Array, ComplexArray]:
+def checked_points(data: FrequencyResponseData, windowed: bool = False) -> tuple[Array, ComplexArray]:
     """Frequencies (K,) and response (p, m, K) in the order given, NaN where a point is missing."""
-    if data.dt:
+    if data.dt and not (windowed and data.dt is not True):
         step = "of unknown step" if data.dt is True else f"dt = {data.dt:g}"
         raise StructureError(
             f"the frequency response is that of a sampled system ({step}), and the model runs in continuous "
-            "time; if it was measured on a plant, pass control.frd(response, omega) without dt"
+            "time; if it was measured on a plant, pass control.frd(response, omega) without dt, or, where it was "
+            "estimated with a window, window=('hann', N)"
         )
     omega, response = _checks.real_array("omega", data.omega, 1), np.array(data.frdata, dtype=complex)
     if len(omega) == 0:

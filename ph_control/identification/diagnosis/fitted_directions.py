@@ -74,9 +74,11 @@ def _of_response(data: Any, result: Any) -> Directions:
     rho = result.residues[:, 0, 0] * np.where(p.imag == 0, 0.5, 1.0)
     terms = () if data.background is None else terms_in(data.background.coefficients)
     every = np.ones(record.samples)
-    rows = FreeResponse(record.omega, record.response[None], every, every > 0, result.quantities[0], terms=terms)
-    ahead, behind = rows.poles(p)
-    slopes = stacked((rho[:, None] * ahead**2, rho.conj()[:, None] * behind**2))
+    rows = FreeResponse(
+        record.omega, record.response[None], every, every > 0, result.quantities[0], terms=terms, window=record.window
+    )
+    ahead, behind, ahead_slope, behind_slope = rows.peaks(p)
+    slopes = stacked((rho[:, None] * ahead_slope, rho.conj()[:, None] * behind_slope))
     late = np.exp(-1j * record.omega * result.delay[0])
     columns = late * np.concatenate([slopes, stacked((ahead, behind))])
     return Directions(columns.T @ _tangent(result)[: len(columns)], (late * rows.background).T)

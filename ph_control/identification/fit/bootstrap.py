@@ -333,7 +333,7 @@ class _Refit:
         factor = np.sqrt(variance / max(result.loss, np.finfo(float).tiny))
         predictions, noise = given.predictions(), []
         for record, predicted in zip(rows, predictions, strict=True):
-            residuals = (_target(record) - predicted)[:, record.observed] * _weight(record)
+            residuals = _in_rows(record, (_target(record) - predicted)[:, record.observed])
             noise.append(factor * (residuals - residuals.mean(axis=1, keepdims=True)))
         places = experiments_of(rows, channels).tolist()
         return cls(
@@ -347,7 +347,7 @@ class _Refit:
         for record, predicted, noise in zip(self.rows, self.predictions, self.noise, strict=True):
             output = np.where(record.observed, predicted, 0.0)
             drawn = np.stack([random.choice(values, len(values)) for values in noise])
-            output[:, record.observed] += drawn / _weight(record)
+            output[:, record.observed] += drawn if isinstance(record, FreeRecord) else record.out_of_rows(drawn)
             rows.append(
                 replace(record, y=output, scale=None)
                 if isinstance(record, FreeRecord)
@@ -405,6 +405,6 @@ def _target(rows: Any) -> NDArray[Any]:
     return np.asarray(rows.measured if isinstance(rows, FreeRecord) else rows.response)
 
 
-def _weight(rows: Any) -> Array | float:
-    """Factor that makes the residuals of the rows alike."""
-    return 1.0 if isinstance(rows, FreeRecord) else rows.weight
+def _in_rows(rows: Any, residuals: NDArray[Any]) -> NDArray[Any]:
+    """Residuals made alike."""
+    return residuals if isinstance(rows, FreeRecord) else np.asarray(rows.in_rows(residuals))

@@ -967,6 +967,9 @@ def _variances(experiments: Sequence[FittedChannels], per_entry: bool) -> tuple[
     for data in experiments:
         known = data.record.observed & ~np.isnan(data.predicted)
         counts = counts + known.sum(axis=-1) * (1 + per_entry)
+        if getattr(data.record, "errors", None) is not None:
+            losses = losses + np.nansum(np.abs(data.record.in_noise(data.residuals)) ** 2, axis=-1)
+            continue
         for weights, _, residuals in pieces([(data.record, data.predicted)]):
             losses = losses + np.sum(weights * np.abs(residuals) ** 2, axis=-1) / data.noise_scale**2
     divisor = np.maximum(np.ravel(counts), 1)
@@ -979,7 +982,7 @@ def _residuals(experiment: FittedChannels) -> dict[str, Signal]:
     if isinstance(experiment.record, Recording):
         seen = np.flatnonzero(experiment.record.observed.any(axis=1)).tolist()
         return {outputs[k]: Difference(experiment.measured[k], experiment.predicted[k]) for k in seen}
-    residuals = experiment.residuals * np.sqrt(experiment.record.weights)
+    residuals = experiment.record.in_noise(experiment.residuals)
     entries = [
         (f"{o}:{i}", row)
         for o, rows in zip(outputs, residuals, strict=True)
@@ -1022,7 +1025,10 @@ def _in_rows(record: Any, values: NDArray[Any]) -> list[Array]:
     """Directions (T, k) of a record as they are; of a response their real and imaginary parts, weighted."""
     if isinstance(record, Record):
         return [values]
-    scaled = values * np.sqrt(record.weights)[:, None]
+    if record.errors is None:
+        scaled = values * np.sqrt(record.weights)[:, None]
+    else:
+        scaled = np.nan_to_num(record.errors.whitened(0, 0, np.where(record.observed, values.T, np.nan))).T
     return [scaled.real, scaled.imag]
 
 

@@ -8,8 +8,9 @@ from typing import Any
 from ... import _checks
 from ..._threads import on_one_thread
 from ..._workers import check_workers
-from ...exceptions import IdentifiabilityWarning
-from ...modal.discretization import INTERSAMPLE, METHODS
+from ...analysis.spectral_window import HOLDS as BETWEEN_SAMPLES
+from ...exceptions import IdentifiabilityWarning, StructureError
+from ...modal.discretization import METHODS
 from ..data.experiments import as_channels
 from ..data.hammer import contacts_alone
 from ..data.quantities import ports_of, quantity_of
@@ -49,6 +50,7 @@ def pem(
     real_poles: int | str = "auto",
     delay: Any = "auto",
     noise: str = "auto",
+    window: Any = None,
 ) -> PEMResult:
     """Fit modes and real poles to recordings or frequency responses, by prediction-error minimisation.
 
@@ -179,7 +181,7 @@ def pem(
     for name, value, allowed in (
         ("criterion", criterion, CRITERIA), ("structure", structure, ("auto", *STRUCTURES)),
         ("method", method, METHODS), ("representation", representation, REPRESENTATIONS),
-        ("intersample", intersample, ("auto", *INTERSAMPLE)), ("initial_state", initial_state, ("estimate", "zero")),
+        ("intersample", intersample, ("auto", *BETWEEN_SAMPLES)), ("initial_state", initial_state, ("estimate", "zero")),
         ("noise", noise, NOISES),
     ):  # fmt: skip
         _checks.choice(name, value, allowed)
@@ -187,7 +189,8 @@ def pem(
     _checks.random_generator(rng)
     quantity = quantity_of(data) if quantity is None else quantity
     ports = ports_of(data, quantity) if ports is None else ports
-    channels: Any = as_channels(data, dt, weights=weights)
+    channels: Any = as_channels(data, dt, weights=weights, window=window, hold=intersample)
+    intersample = _of_records(intersample, channels)
     options = Options.checked(
         channels, order=order, method=method, intersample=intersample, offset=offset, max_order=max_order,
         criterion=criterion, callback=callback, moving=initial_state == "estimate", weighted=weights is not None,
@@ -201,6 +204,18 @@ def pem(
             result.message, IdentifiabilityWarning, stacklevel=3
         )  # the line that calls the decorated function
     return result
+
+
+def _of_records(intersample: str, channels: Any) -> str:
+    """What is assumed of the inputs of records; those of windowed responses have theirs in the window."""
+    if intersample != "bandlimited":
+        return intersample
+    if any(getattr(data, "window", None) is None for data in channels):
+        raise StructureError(
+            "intersample='bandlimited' is for responses that were estimated with a window; give that, window=('hann', "
+            "N), or use 'zoh' or 'foh' for records"
+        )
+    return "zoh"
 
 
 def _beside_hammer_noise(channels: Any, fit: Any) -> PEMResult:

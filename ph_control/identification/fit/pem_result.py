@@ -16,6 +16,7 @@ from ..._display import counted
 from ..._frozen import ReadOnlyMapping
 from ..._types import Array, ArrayLike, ComplexArray
 from ..._units import common_unit, hertz_size, with_unit
+from ...analysis.spectral_window import SpectralWindow
 from ...exceptions import ConditioningWarning, NoSuchQuantityError, NotPassiveError, StructureError
 from ...modal.discretization import Hold
 from ...modal.general_form import from_vectors, real_matrices
@@ -33,6 +34,7 @@ from ..regression.free_prediction import (
     unknown_samples,
 )
 from ..regression.prediction import FittedExperiment, ResponseBackground, output_gain
+from ..regression.windowed import response_through
 from ..search.circumstances import Finding
 from ..search.modal_search import orders_about
 from ..structure.layout import POWERS, residue_of_unit_weight, weights_of
@@ -595,6 +597,49 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         Several experiments have a background each, `experiments[k].background`.
         """
         return self.experiments[0].background
+
+    @property
+    def window(self) -> SpectralWindow | None:
+        """Window with which the response of the first experiment was estimated; None of other data."""
+        return getattr(self.experiments[0].record, "window", None)
+
+    def estimated_response(self, omega: ArrayLike) -> ComplexArray:
+        """Mean of the response that is estimated with the window of the data, for a white input.
+
+        Without background and delay, as `observed_system` is without a window.
+
+        Parameters
+        ----------
+        omega : array_like, shape (K,)
+            Frequencies, rad per unit time.
+
+        Returns
+        -------
+        ndarray of complex, shape (p, m, K)
+
+        Raises
+        ------
+        StructureError
+            If the data were not estimated with a window.
+
+        Examples
+        --------
+        >>> import control as ct, numpy as np, ph_control as phc
+        >>> plant, u = phc.modes(1.0, 1.0, damping=0.01), np.random.default_rng(0).standard_normal(8192)
+        >>> y = phc.forced_response(phc.ph(plant), 0.5 * np.arange(8192), u, intersample="zoh")
+        >>> result = phc.pem(phc.spectral_estimate(y, segments=31), 1, structure="classical")
+        >>> broad, narrow = result.estimated_response([1.0]), result.observed_system(1j)
+        >>> bool(abs(broad[0, 0, 0]) < 0.6 * abs(narrow))
+        True
+        """
+        if self.window is None:
+            raise StructureError(
+                "this result was not fitted to responses that were estimated with a window; its response is "
+                "result.observed_system(1j * omega)"
+            )
+        halves = np.where(self.poles.imag == 0, 0.5, 1.0)[:, None, None] * self.residues
+        frequencies = _checks.real_array("omega", omega, 1)
+        return response_through(self.window, frequencies, self.poles, halves, self.feedthrough)
 
     def predict(
         self, data: Any, *, initial_state: ArrayLike | str | None = None, dt: float | None = None

@@ -407,6 +407,12 @@ class FittedModes(Report, Frozen):
                 plant, data = self._entry(place, source, fitted_experiment.record.omega), data[place, source]
                 background = getattr(fitted_experiment, "background", None)
                 plant.background = background and background.entry(place, source)
+                whole_plant = cast(Any, self)
+                if getattr(self, "window", None) is not None:
+                    plant.window = whole_plant.window
+                    plant.estimated_response = lambda omega: whole_plant.estimated_response(omega)[
+                        place : place + 1, source : source + 1
+                    ]
             names = (parted(name)[0] for name in (self.input_labels[source], self.output_labels[place]))
             kwargs.setdefault("Hz", unit_for(kwargs.get("time_unit"), self) in SECONDS)
             kwargs.setdefault("title", "Frequency response, {} to {}".format(*names))

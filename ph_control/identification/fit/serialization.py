@@ -19,6 +19,7 @@ from ...io.json_format import Fields
 from ...modal.discretization import INTERSAMPLE, METHODS
 from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
+from ..data.line_errors import LineErrors
 from ..data.time_record import InTime, Record
 from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import QUANTITIES
@@ -36,6 +37,7 @@ _WORDS = {
 _MAY_LACK = {
     "drift", "output", "experiment", "findings", "tests", "time_unit", "title", "method", "blind",
     "initial_stderr", "offset_stderr", "noise_scale", "delay", "delay_stderr", "background",
+    "window", "errors",
 }  # fmt: skip
 _MAY_BE_NAN = {
     "covariance", "offset_stderr", "initial_stderr", "y", "response", "shape_stderr", "delay_stderr",
@@ -191,7 +193,11 @@ def _record(fields: Fields) -> Any:
     entries = (*p, *m, samples)
     shapes: Shapes = {"u": (*m, samples), "y": (*p, samples), "response": entries, "weights": entries}
     kinds = (Record, FrequencyRecord) if single else (Recording, ResponseMatrix)
-    return _read(kinds[not in_time], fields, shapes)
+    known: dict[str, Any] = {}
+    if "errors" in fields:
+        size = ((1, 1) if single else (*p, *m)) + (None, samples)
+        known["errors"] = _read(LineErrors, fields.nested("errors"), {"covariances": size, "relations": size})
+    return _read(kinds[not in_time], fields, shapes, **known)
 
 
 def _experiment(fields: Fields, n: int, states: int, record: Any) -> Any:

@@ -22,6 +22,7 @@ from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from .elimination import LinearProjection, eliminate, inverse_gram, null_space, orthogonal, without
 from .frequency_rows import FreeResponse
 from .sections import PoleRegion, Sections
+from .shared_errors import crossed_scores, share_errors
 from .spectral_rows import FreeWindow
 from .time_rows import FreeRecord
 from .triangular import reduced
@@ -461,7 +462,51 @@ class FreeProjection(LinearProjection):
         for group in self._groups:
             for output in group.outputs:
                 covariance[places[output], places[output]] += group.solve @ group.solve.T
+        if share_errors(self.experiments):
+            covariance = covariance + self._of_shared_errors()
         return variance * covariance
+
+    @property
+    def excess(self) -> float:
+        """How many more squares than it has unknowns the model takes of errors that entries have in common."""
+        _, inverse, scores = self._crossed
+        return float(np.sum(inverse * scores))
+
+    def _of_shared_errors(self) -> Array:
+        """What errors that entries have in common add to the covariance."""
+        turn, inverse, scores = self._crossed
+        return np.asarray(turn @ inverse @ scores @ inverse @ turn.T)
+
+    @cached_property
+    def _crossed(self) -> tuple[Array, Array, Array]:
+        """Derivatives of what a covariance is of by all coordinates, the inverse Gram matrix and scores of these."""
+        k, n = len(self.x), len(self.p)
+        jacobians = {}
+        for place, rows in enumerate(self.experiments):
+            by_poles, by_shared = self.in_rows(place)
+            columns = np.zeros((len(by_poles), k + self.shared.size))
+            start = k + int(rows.outputs[0]) * len(self.shared)
+            columns[:, :k], columns[:, start : start + len(self.shared)] = by_poles @ self.sections.pole_slopes, by_shared
+            jacobians[place] = columns
+        inverse = inverse_gram(np.concatenate([reduced(np.asfortranarray(J)) for J in jacobians.values()]))
+        turn = np.zeros((2 * n + self.shared.size, k + self.shared.size))
+        turn[: 2 * n, :k], turn[2 * n :, k:] = self.sections.pole_slopes, np.eye(self.shared.size)
+        return turn, inverse, crossed_scores(self.experiments, jacobians)
+
+    def in_rows(self, place: int) -> tuple[Array, Array]:
+        """Derivatives of the one output of an experiment by poles and by what is shared, in all its rows.
+
+        By imaginary and real parts of the poles; what belongs to the experiment is eliminated.
+        """
+        rows, n = self.experiments[place], len(self.p)
+        columns = np.concatenate(list(rows.at(self.p).blocks()), axis=1).T
+        own, output = rows.own_unknowns(n), int(rows.outputs[0])
+        parts = _ExperimentColumns.of(rows, columns[:, own:], n, self._shared_unknowns)
+        slopes = by_poles(parts.derivatives, rows, self.own[place][:, 0], self.residues[:, output])
+        held = list(self._held(output))
+        parts.shared[:, held] = 0.0
+        basis, _ = orthogonal(columns[:, :own], len(columns))
+        return without(slopes, basis), without(parts.shared, basis)
 
 
 class GivenResidues(FreeProjection):

@@ -11,9 +11,13 @@ import numpy as np
 
 from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, Mask
-from .spectral_rows import Pair, real_rows, stacked, thinned_places
+from ...analysis.spectral_window import SpectralWindow
+from ..data.line_errors import BandedFactor
+from .shared_errors import SharedErrors
+from .spectral_rows import real_rows, stacked, thinned_places
 from .time_rows import Evaluation
 from .tuning import TUNING
+from .windowed import Peaks, windowed_peaks
 
 
 def differentiated(omega: Array, quantity: str) -> ComplexArray:
@@ -54,6 +58,9 @@ class FreeResponse:
     or those of `classical` damping: in place of their real parts stand real numbers `B` of `B s^k / (s - p) (s - p*)`,
     k that of the quantity, in place of their imaginary parts zeros.  Where responses have a `delay`, rows are those of
     the responses without it.
+
+    Those estimated with a `window` show modes as it does.  Where errors are correlated, rows are those in which they
+    are `white`, in place of a scale; `shared_errors` are those that entries have in common.
     """
 
     frequencies: Array
@@ -66,6 +73,9 @@ class FreeResponse:
     terms: tuple[Term, ...] = ()
     classical: bool = False
     delay: float | None = None
+    window: SpectralWindow | None = None
+    white: BandedFactor | None = None
+    shared_errors: SharedErrors | None = None
     moving: ClassVar[bool] = False
     inputs: ClassVar[int] = 1
     acting: ClassVar[Indices] = np.zeros(1, int)
@@ -111,13 +121,33 @@ class FreeResponse:
     @cached_property
     def weight(self) -> Array:
         """Factor of errors at the frequencies that were measured."""
-        return self.scale[self.observed]
+        return self.scale[self.observed] if self.white is None else 1.0 / self.white.deviations
+
+    def in_rows(self, values: ComplexArray) -> ComplexArray:
+        """Values (k, K) at the frequencies as they are in the rows, where errors are alike."""
+        return np.asarray(self.weight * values) if self.white is None else self.white.whitened(values)
+
+    def out_of_rows(self, rows: ComplexArray) -> ComplexArray:
+        """Values at the frequencies that are these rows (k, K)."""
+        return np.asarray(rows / self.weight) if self.white is None else self.white.coloured(rows)
+
+    def times(self, target: ComplexArray, values: ComplexArray) -> ComplexArray:
+        """Values (k, K) at the frequencies times a response that is given in the rows, in the rows."""
+        if self.white is None:
+            return np.asarray(values * target)
+        return self.in_rows(values * self.out_of_rows(target[None]))
+
+    @property
+    def direct(self) -> ComplexArray:
+        """What is fed through as the response shows it, shape (1, K): of samples, over the response of the hold."""
+        return np.ones((1, len(self.omega)), complex) if self.window is None else 1 / self.window.hold_at(self.omega)[None]
 
     @cached_property
     def target(self) -> ComplexArray:
         """Responses (q, K) that were measured, in the scale of their weights."""
         early = 1.0 if not self.delay else np.exp(1j * self.omega * self.delay)
-        return np.asarray(self.response[:, self.observed] * (self.weight * early))
+        measured = self.response[:, self.observed]
+        return np.asarray(measured * (self.weight * early)) if self.white is None else self.in_rows(measured * early)
 
     def delayed(self, time: float, least: float | None = None, most: float | None = None) -> FreeResponse:
         """Responses that come so much later."""
@@ -144,7 +174,7 @@ class FreeResponse:
     @cached_property
     def background(self) -> ComplexArray:
         """Columns (len(terms), K) of the background, in the scale of the weights."""
-        return self.weight * background_columns(self.terms, self.omega)
+        return self.in_rows(background_columns(self.terms, self.omega))
 
     def thinned(self, p: ComplexArray) -> FreeResponse:
         """The points about some modes as far as their peaks reach, and a few; of wide peaks a part, each for many."""
@@ -167,6 +197,8 @@ class FreeResponse:
 
     def _part(self, kept: Indices, counts: Array) -> FreeResponse:
         """Some of the points, which errors count so much of."""
+        if self.white is not None:  # errors of neighbours belong together
+            return self
         observed, scale = self.observed.copy(), self.scale.copy()
         observed[self.observed] = np.isin(np.arange(len(self.omega)), kept)
         scale[observed] *= counts
@@ -176,35 +208,44 @@ class FreeResponse:
         """The rows for modes with these poles."""
         return FreeResponseEvaluation(self, p)
 
-    def columns(self, p: ComplexArray, poles: Pair | None = None) -> ComplexArray:
+    def columns(self, p: ComplexArray, peaks: Peaks | None = None) -> ComplexArray:
         """Columns of all unknowns, in the scale of the weights."""
-        modes = self.weight * (self._classical(p)[0] if self.classical else stacked(poles or self.poles(p)))
-        return np.concatenate([self.background, modes, self.weight[None][: int(self.through)]])
+        if self.classical:
+            modes = self._classical(p)[0]
+        else:
+            peaks = peaks or self.peaks(p)
+            modes = stacked((peaks.ahead, peaks.behind))
+        fed = self.direct[: int(self.through)]
+        return np.concatenate([self.background, self.in_rows(np.concatenate([modes, fed]))])
 
-    def slopes(self, p: ComplexArray, poles: Pair) -> ComplexArray:
+    def slopes(self, p: ComplexArray, peaks: Peaks) -> ComplexArray:
         """Derivatives of the columns by real, then imaginary parts of poles, in the scale of the weights."""
-        ahead, behind = poles
-        return self.weight * (self._classical(p)[1] if self.classical else stacked((ahead**2, behind**2)))
+        if self.classical:
+            return self.in_rows(self._classical(p)[1])
+        return self.in_rows(stacked((peaks.ahead_slope, peaks.behind_slope)))
 
     def classical_columns(self, p: ComplexArray) -> ComplexArray:
         """`s^k / (s - p) (s - p*)`."""
-        ahead, behind = self.poles(p)
+        ahead, behind, *_ = self.peaks(p)
         return np.asarray(differentiated(self.omega, self.quantity) * ahead * behind)
 
     def _classical(self, p: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Columns of modes with classical damping, and their derivatives by real, then imaginary parts of poles."""
         columns = self.classical_columns(p)
-        ahead, behind = self.poles(p)
+        ahead, behind, *_ = self.peaks(p)
         turned = 2 * columns * ahead * behind
         slopes = [turned * (1j * self.omega - p.real[:, None]), -turned * p.imag[:, None]]
         return np.concatenate([columns, np.zeros_like(columns)]), np.concatenate(slopes)
 
-    def poles(self, p: ComplexArray) -> Pair:
-        """`1 / (s - p)` and `1 / (s - conj p)`."""
+    def peaks(self, p: ComplexArray) -> Peaks:
+        """`1 / (s - p)` and `1 / (s - conj p)` with their derivatives, or what a window makes of them."""
+        if self.window is not None:
+            return windowed_peaks(self.window, self.omega, p)
         s, poles = 1j * self.omega, p[:, None]
         least = EPS * np.maximum(np.abs(poles), self.bin)
         ahead, behind = (np.where(gap == 0, least, gap) for gap in (s - poles, s - poles.conj()))
-        return np.asarray(1.0 / ahead), np.asarray(1.0 / behind)
+        ahead, behind = 1.0 / ahead, 1.0 / behind
+        return Peaks(ahead, behind, ahead**2, behind**2)
 
 
 def terms_in(coefficients: ComplexArray) -> tuple[Term, ...]:
@@ -231,12 +272,13 @@ class FreeResponseEvaluation(Evaluation):
     def blocks(self) -> Iterator[Array]:
         """All rows in one block."""
         rows = self._rows
-        ahead, behind = rows.poles(self._p)
-        slopes = [rows.slopes(self._p, (ahead, behind))]
+        peaks = rows.peaks(self._p)
+        slopes = [rows.slopes(self._p, peaks)]
         if rows.delay is not None:  # what is fed through changes with s, and modes by the force beside themselves
-            s, felt = 1j * rows.omega, rows.weight[None].astype(complex)
-            slopes += [s * felt if rows.through else felt, s * rows.background]
-        yield real_rows([rows.columns(self._p, (ahead, behind)), *slopes, rows.target])
+            s, felt = 1j * rows.omega, rows.direct
+            slopes += [rows.in_rows(s * felt if rows.through else felt)]
+            slopes += [rows.in_rows(s * background_columns(rows.terms, rows.omega))]
+        yield real_rows([rows.columns(self._p, peaks), *slopes, rows.target])
 
     def predict(self, shared: Array, own: Array) -> ComplexArray:
         """Responses of a model at all frequencies of the record; NaN where nothing was measured."""
@@ -245,5 +287,7 @@ class FreeResponseEvaluation(Evaluation):
         # other entries may be fed through, and these not
         weights = np.concatenate([own, shared[: 2 * len(self._p) + rows.through]])
         late = 1.0 if not rows.delay else np.exp(-1j * rows.omega * rows.delay)
-        everywhere[:, rows.observed] = weights.T @ rows.columns(self._p) * (late / rows.weight)
+        values = weights.T @ rows.columns(self._p)
+        late = late / rows.weight if rows.white is None else late
+        everywhere[:, rows.observed] = late * (values if rows.white is None else rows.white.coloured(values))
         return everywhere

@@ -514,8 +514,9 @@ class Responses(FreeSearch):
         joined: list[tuple[Array, list[ComplexArray], list[Array]]] = []
         for rows, part in zip(self.data, model.residuals, strict=True):
             everywhere = np.zeros((len(part), len(rows.frequencies)), complex)
-            everywhere[:, rows.observed] = part / rows.weight
-            weights = np.where(rows.observed, rows.scale, 0.0)[None].repeat(len(part), axis=0)
+            everywhere[:, rows.observed] = rows.out_of_rows(part)
+            weights = np.zeros((len(part), len(rows.frequencies)))
+            weights[:, rows.observed] = rows.weight
             if joined and joined[-1][0] is rows.frequencies:
                 joined[-1][1].append(everywhere)
                 joined[-1][2].append(weights)
@@ -569,10 +570,10 @@ class Responses(FreeSearch):
             factors = []
             for rows in self.data:
                 columns = rows.columns(p)
-                modes = columns[len(rows.terms) :][: 2 * len(p)][kept] / rows.weight
+                modes = rows.out_of_rows(columns[len(rows.terms) :][: 2 * len(p)][kept])
                 basis, _ = orthogonal(real_rows([columns]).T)
                 for target in rows.target:
-                    rest = without(real_rows([modes * target, target[None]]).T, basis)
+                    rest = without(real_rows([rows.times(target, modes), target[None]]).T, basis)
                     factors.append(reduced(np.asfortranarray(rest)))
             joined = np.concatenate(factors)
             basis, solve = orthogonal(joined[:, :-1])
@@ -598,7 +599,7 @@ class Responses(FreeSearch):
             q, n = len(rows.outputs), len(p)
             basis, _ = orthogonal(known[: rows.own_unknowns(n) + 2 * n + rows.through].T)
             real = rows if rows.quantity != "free" else replace(rows, quantity="velocity")
-            columns = real_rows([rows.weight * real.classical_columns(tried)])
+            columns = real_rows([rows.in_rows(real.classical_columns(tried))])
             free = without(columns.T, basis)
             gains += np.sum((free.T @ without(known[-q:].T, basis)) ** 2, axis=1) / np.sum(free**2, axis=0)
         return strongest([(tried, gains)], self.region.bin)

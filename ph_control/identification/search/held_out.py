@@ -104,11 +104,11 @@ def _foretold(projection: FreeProjection) -> list[tuple[Any, NDArray[Any]]]:
     n, foretold, predictions = len(projection.p), [], list[Any](projection.predictions())
     for rows, own, values in zip(projection.experiments, projection.own, predictions, strict=True):
         if isinstance(rows, FreeResponse):
-            everywhere = replace(rows, observed=np.ones(len(rows.frequencies), bool))
+            everywhere = replace(rows, observed=np.ones(len(rows.frequencies), bool), white=None)
             weights = np.concatenate([own, projection.shared[: 2 * n + rows.through, rows.outputs]])
             # few points have no background
             values = (
-                weights.T @ (everywhere.columns(projection.p) / everywhere.weight)[-len(weights) :]
+                weights.T @ everywhere.out_of_rows(everywhere.columns(projection.p))[-len(weights) :]
                 if len(weights)
                 else 0.0
             )

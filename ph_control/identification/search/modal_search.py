@@ -26,6 +26,7 @@ from ..data.parts import cut, is_long, searched_part, stages
 from ..regression.free import Delays, FreeProjection, refine_free
 from ..regression.frequency_rows import FURTHER_TERMS, FreeResponse, Term
 from ..regression.sections import PoleRegion, Sections
+from ..regression.shared_errors import SharedErrors
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Progress
@@ -35,6 +36,7 @@ from .criteria import Criteria, least_gain, past_of_noise, stands_out
 from .free_search import FreeModel, FreeSearch, Records, Responses
 from .held_out import foretelling_order
 from .response_noise import ROUNDS, SETTLED, NoiseLaw, balanced, entry_laws
+from .window_noise import in_weights, of_curvature, of_model
 
 Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
 Place = tuple[int, int]  # an experiment and a line of it
@@ -63,6 +65,7 @@ _LONGEST_DELAY = 24  # samples
 _LAGS = 4  # of different rates, with which delays are looked for
 _AGREED = 0.1  # of the criterion: less is gained where a model and its noise agree
 _NO_NOISE = 1.0  # by which the logarithm of the variance falls where what was left is no noise, of any law
+_SAME_ERRORS = 0.02  # relative change of the variances of lines
 _LASTING = 0.05  # of a record: the part in which an input has to act
 
 
@@ -141,6 +144,11 @@ class FreeFit(Frozen):
     def per_entry(self) -> bool:
         """Whether outputs of the projection are entries of a response matrix, `output * m + input`."""
         return isinstance(self.channels[0], ResponseMatrix)
+
+    @property
+    def windowed(self) -> bool:
+        """Whether responses were estimated with a window."""
+        return any(getattr(channel, "window", None) is not None for channel in self.channels)
 
     @property
     def intersample(self) -> str:
@@ -299,7 +307,10 @@ def free_fit(
             constant_open=offset == "auto" and terms == 1, delay=late, white=white,
         )  # fmt: skip
 
-    if doubted and isinstance(channels[0], ResponseMatrix):
+    windowed = [data for data in channels if isinstance(data, ResponseMatrix) and data.window is not None]
+    if windowed and all(data.errors is None for data in windowed):
+        channels = [in_weights(data) if weighted else of_curvature(data) for data in windowed]
+    if doubted and isinstance(channels[0], ResponseMatrix) and not windowed:
         among = partial(
             free_fit, order=order, quantities=quantities, max_order=max_order, criterion=criterion, reports=reports,
             weighted=weighted, real_poles=real_poles, delay=delay, doubted=False,
@@ -313,7 +324,7 @@ def free_fit(
         most, automatic = foretelling_order(channels, begin, most, path_for), False
     search = _Search(path_for, begin, most, automatic, None if intersample == "auto" else intersample)
     fit = search.along(path, channels)
-    if weighted and start is None:
+    if weighted and start is None and not windowed:
         fit = _from_peaks(fit, path, search)
     if automatic and real_poles in ("auto", 0) and not fit.interrupted:
         fit = _of_few_lines(fit, path.of_few_lines(), min(max_order, path.carried))
@@ -344,6 +355,11 @@ class _Search:
 
 def _beside_all_else(fit: FreeFit, search: _Search, weighted: bool, drifting: bool, noise: Beside) -> FreeFit:
     """The fit with what its data show beside modes: noise that grows with gains of responses, or drifts and delays."""
+    if fit.windowed and not (fit.interrupted or fit.rounding or weighted):
+        try:
+            return _in_noise_of_the_window(fit, search)
+        except KeyboardInterrupt:
+            return replace(fit, interrupted=True)
     # what crowded modes leave is no noise whose law could be told
     if fit.interrupted or fit.rounding or fit.crowded or (fit.per_entry and weighted) or not (fit.states or fit.noise):
         return fit
@@ -388,8 +404,42 @@ def _searches_anew(fit: FreeFit, search: _Search, drifting: bool) -> Anew:
     return anew
 
 
+def _in_noise_of_the_window(fit: FreeFit, search: _Search) -> FreeFit:
+    """The fit of responses estimated with a window, with the errors of its own model, until both agree."""
+    refined, again = _anew_in_noise(fit, search)
+    near, known = fit, False
+    while True:
+        for _ in range(ROUNDS):
+            before = near
+            near = refined(of_model(near), near.projection.p)
+            if len(near.projection.p) == len(before.projection.p) and _agree(near, before):
+                break
+        judged = again(near.channels, near.projection.p, known)
+        if judged.interrupted:
+            raise KeyboardInterrupt
+        if known or len(judged.projection.p) == len(near.projection.p):
+            return judged
+        # other modes leave other errors
+        near, known = judged, True
+
+
+def _agree(fit: FreeFit, before: FreeFit) -> bool:
+    """Whether the errors of two fits are the same."""
+    laws = [[channel.errors.covariances[:, :, 0].real for channel in each.channels] for each in (fit, before)]
+    scales = [float(np.exp(np.mean([np.log(law).mean() for law in each]))) for each in laws]
+    pairs = zip(*laws, strict=True)
+    return all(np.max(np.abs(now / then * (scales[1] / scales[0]) - 1)) <= _SAME_ERRORS for now, then in pairs)
+
+
 def _in_noise_of_the_gain(fit: FreeFit, search: _Search) -> FreeFit:
     """The fit of responses with the weights of the law of noise that each entry shows."""
+    return _reweighted(fit, *_anew_in_noise(fit, search))
+
+
+def _anew_in_noise(
+    fit: FreeFit, search: _Search
+) -> tuple[Callable[[Experiments, ComplexArray], FreeFit], Callable[[Experiments, ComplexArray, bool], FreeFit]]:
+    """What refines the poles of responses, and what looks for others as well, in the noise of other channels."""
 
     def weighted_path(channels: Experiments) -> FreePath:
         path = search.path_for(channels)
@@ -409,7 +459,7 @@ def _in_noise_of_the_gain(fit: FreeFit, search: _Search) -> FreeFit:
             model = path.chosen(path.cleaned(model).p, search.most, True)
         return path.finished(model, channels, search.automatic)
 
-    return _reweighted(fit, refined, again)
+    return refined, again
 
 
 def _with_or_without(
@@ -552,7 +602,7 @@ def _effects(projection: FreeProjection, channels: Sequence[ResponseMatrix]) -> 
     number = {id(data.omega): k for k, data in enumerate(channels)}
     for rows in projection.experiments:
         assert isinstance(rows, FreeResponse)
-        ahead, behind = rows.poles(projection.p)
+        ahead, behind, *_ = rows.peaks(projection.p)
         for output in rows.outputs.tolist():
             r = projection.residues[:, output, 0][:, None]
             size = np.abs((r * ahead + r.conj() * behind) * rows.weight) ** 2
@@ -565,7 +615,7 @@ def _is_white(projection: FreeProjection) -> bool:
     parts: dict[int, list[Array]] = {}
     for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
         assert isinstance(rows, FreeResponse)
-        residuals = (rows.response - predicted)[:, rows.observed] * rows.weight
+        residuals = rows.in_rows((rows.response - predicted)[:, rows.observed])
         for output, row in zip(rows.outputs.tolist(), residuals, strict=True):
             parts.setdefault(output, []).extend([row.real, row.imag])
     p_values = [ljung_box(each, TUNING.lags) for each in parts.values()]
@@ -988,17 +1038,32 @@ def _responses(
         kinds = np.repeat(np.array(quantities), channel.response.shape[1])
         groups: dict[tuple[str, bytes, bytes], list[int]] = {}
         for e in np.flatnonzero(observed.any(axis=1)).tolist():
-            shape = np.float32(np.where(observed[e], weights[e] / weights[e][observed[e]].mean(), 0.0))
-            groups.setdefault((str(kinds[e]), observed[e].tobytes(), shape.tobytes()), []).append(e)
+            shape = np.float32(np.where(observed[e], weights[e] / weights[e][observed[e]].mean(), 0.0)).tobytes()
+            if channel.errors is not None:
+                shape = str(e).encode()
+            groups.setdefault((str(kinds[e]), observed[e].tobytes(), shape), []).append(e)
         for (kind, *_), members in groups.items():
             first, seen = members[0], observed[members[0]]
             scale = np.sqrt(weights[first] / weights[first][seen].mean())
             response = np.where(seen, entries[members], 0.0)
-            rows = FreeResponse(channel.omega, response, scale, seen, kind, np.array(members))
+            white = channel.errors and channel.errors.factor(*divmod(first, channel.response.shape[1]), seen)
+            rows = FreeResponse(
+                channel.omega, response, scale, seen, kind, np.array(members), window=channel.window, white=white,
+                shared_errors=_shared_errors(channel, first, seen),
+            )
             responses.append(rows.on_background())
     if delay is None or not delay.any():
         return responses
     return Delays.of_outputs(delay.repeat(len(channels[0].input_labels))).rows(responses)
+
+
+def _shared_errors(channel: ResponseMatrix, entry: int, seen: Mask) -> SharedErrors | None:
+    """What an entry of several has in common with others."""
+    inputs = channel.response.shape[1]
+    if channel.errors is None or channel.errors.law is None or channel.window is None or channel.response[..., 0].size < 2:
+        return None
+    place, lines = divmod(entry, inputs), channel.window.lines(channel.omega[seen])
+    return SharedErrors.of(channel.errors.law, place, float(channel.errors.noise[place[0]]), lines)
 
 
 def _refuse_unmeasured(matrix: ResponseMatrix, measured: Array) -> None:

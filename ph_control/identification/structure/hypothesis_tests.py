@@ -13,6 +13,7 @@ from ..._checks import EPS
 from ..diagnosis.verdict import HypothesisTest
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.sections import PoleRegion
+from ..regression.shared_errors import share_errors
 from .constrained import Approach, StructuredFit, constrained, is_crowded, nearest_passive_fit
 from .layout import ChannelLayout
 
@@ -21,6 +22,7 @@ LEVEL = 0.05
 _ITERATIONS = 12  # three are usual
 _BEYOND = 100.0  # times the unknowns: a ratio at the nearest point of the free fit from which no way leads back
 _HOPELESS = 1e-6
+_LEAST = 0.1  # of the squares: what errors in common may take away
 
 
 @dataclass(frozen=True)
@@ -152,11 +154,19 @@ def likelihood_test(projection: FreeProjection, fit: StructuredFit, dof: int) ->
     """A structure against the free model, which has so many unknowns more; the variance is that of the free fit."""
     spare = max(1, projection.rows - projection.unknowns)
     least = max(projection.loss, _rounding(projection))
-    variance, gain = least / spare, max(0.0, fit.loss - least)
+    variance, gain = least / spare, max(0.0, fit.loss - least) / _inflation(projection, fit, dof)
     if not dof:
         return HypothesisTest(fit.hypothesis, 0.0, 0, 1.0)
     ratio = (spare + dof) * float(np.log1p(gain / variance / spare))
     return HypothesisTest(fit.hypothesis, ratio, dof, float(fdtrc(dof, spare, gain / variance / dof)))
+
+
+def _inflation(projection: FreeProjection, fit: StructuredFit, dof: int) -> float:
+    """Mean of the squares that a true structure costs over their number, 1 unless entries have errors in common."""
+    excess = getattr(fit.point, "excess", None)
+    if not dof or excess is None or not share_errors(projection.experiments):
+        return 1.0
+    return max(_LEAST, 1 + (projection.excess - excess) / dof)
 
 
 def _rounding(projection: FreeProjection) -> float:

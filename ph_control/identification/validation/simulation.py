@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ... import _checks
 from ..._types import Array, ComplexArray, Indices
+from ...analysis.spectral_window import estimated_response
 from ...analysis.time_response import forced_response
 from ...exceptions import StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS, Hold, MatrixStep
@@ -23,11 +24,12 @@ from ...systems.affine import AffineHamiltonian
 from ...systems.base import LosslessSystem, in_normal_form
 from ...systems.canonical_forms import ObservableHamiltonian
 from ...systems.port_hamiltonian import ph
-from ..data.channels import Recording, ResponseMatrix, several
+from ..data.channels import Recording, ResponseMatrix, recording, several
 from ..data.frequency_record import FrequencyRecord, InFrequency
 from ..data.time_record import InTime, Record
 from ..diagnosis.fitted_directions import Directions, directions_of, same_data
 from ..fit.pem_result import PEMResult
+from ..regression.windowed import response_through
 
 Kind = Record | FrequencyRecord | Recording | ResponseMatrix
 
@@ -349,8 +351,11 @@ def _response(model: Any, label: str, record: FrequencyRecord | ResponseMatrix) 
     delay = model.delay if isinstance(model, PEMResult) else np.zeros(1)
     system = _system_of(getattr(model, "observed_system", model), label, record)
     points = 1j * record.omega if system.isctime() else np.exp(1j * _sampled_phases(system, label, record))
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        response = system.horner(points, warn_infinite=False)
+    if record.window is not None:
+        response = _through_window(model, system, label, record)
+    else:
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            response = system.horner(points, warn_infinite=False)
     response = response if background is None else response + background.response(record.omega)
     if delay.any():
         with np.errstate(invalid="ignore"):
@@ -365,6 +370,31 @@ def _response(model: Any, label: str, record: FrequencyRecord | ResponseMatrix) 
             "there, and no finite measurement agrees with that; mark the point as missing with NaN to leave it out"
         )
     return np.asarray(response, complex)
+
+
+def _through_window(model: Any, system: Any, label: str, record: FrequencyRecord | ResponseMatrix) -> ComplexArray:
+    """Response of a model as the window of the data shows it, in the order of the channels of the model.
+
+    Of a system that is no fit, inputs without content beyond the Nyquist frequency are taken for held ones.
+    """
+    window = record.window
+    assert window is not None
+    if isinstance(model, PEMResult):
+        halves = np.where(model.poles.imag == 0, 0.5, 1.0)[:, None, None] * model.residues
+        return response_through(window, record.omega, model.poles, halves, model.feedthrough)
+    hold = Hold(window.step, "exact", "zoh" if window.hold == "bandlimited" else window.hold)
+    held = replace(window, hold=hold.intersample)
+    m, count = len(system.input_labels), window.length + 1
+    answers = []
+    for k in range(m):
+        u = np.zeros((m, count))
+        u[k, 1] = 1.0  # a linear input rises before
+        unit = recording(
+            None, window.step, list(u), list(np.zeros((len(system.output_labels), count))),
+            tuple(system.input_labels), tuple(system.output_labels),
+        )  # fmt: skip
+        answers.append(_linear_motions(system, label, unit, hold).forced[:, 1:])
+    return estimated_response(held, np.stack(answers, axis=1), record.omega)
 
 
 def _sampled_phases(system: Any, label: str, record: FrequencyRecord | ResponseMatrix) -> Array:

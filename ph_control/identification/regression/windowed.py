@@ -1,0 +1,241 @@
+"""Modes in responses that were estimated with a window, and the law of the errors of such responses.
+
+Blocks of a record begin in motion, which the spectra of their own inputs do not explain: near a resonance that motion
+is the larger part of what a response is in error by, and it is as long as the mode is.  For a white input both parts,
+motion and noise, have a law that depends on the modes and on the ratio of noise and input alone (`error_bands`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..._types import Array, ComplexArray, Indices, NDArray
+from ...analysis.spectral_window import SpectralWindow
+from ...modal.discretization import Hold
+from ..data.line_errors import among
+from .modal_regressors import SampledModes
+
+_BEYOND = 2  # lines beyond the reach of a window that errors share something with
+_LONGEST = 0.02  # lines: half-width of a peak; of longer modes the motion at the beginning of blocks has no bound
+_NEAR = 0.1  # of a turn between samples: where a series is more accurate
+
+
+class Peaks(NamedTuple):
+    """What stands for `1 / (s - p)` and `1 / (s - conj p)`, shapes (n, K), and their derivatives by `p`, `conj p`."""
+
+    ahead: ComplexArray
+    behind: ComplexArray
+    ahead_slope: ComplexArray
+    behind_slope: ComplexArray
+
+
+def windowed_peaks(window: SpectralWindow, omega: Array, p: ComplexArray) -> Peaks:
+    """Modes of unit residue as a window shows them; O(n N log N) at lines, and O(n N K) at any other frequencies."""
+    r, k = window.correlation, np.arange(window.length - 1)
+    if window.hold == "bandlimited":
+        return _bandlimited(window, omega, p)
+    step = SampledModes.of(Hold(window.step, "exact", window.hold), p)
+    log = p[:, None] * window.step
+    powers = np.exp(log * k)  # of the answer after a sample or more
+    lam = np.exp(log)
+    weight, b1 = step.b0[:, None] + lam * step.b1[:, None], step.b1[:, None]
+    weight_slope = step.b0_slope[:, None] + lam * (step.b1_slope + window.step * step.b1)[:, None]
+    fading = r[1:] * powers
+    values = np.concatenate([b1, weight * fading], axis=1)
+    slopes = np.concatenate([step.b1_slope[:, None], (weight_slope + weight * (k * window.step)) * fading], axis=1)
+    pairs = [_transforms(each, window, omega) for each in (values, slopes)]
+    held = window.hold_at(omega)
+    return Peaks(*(part / held for part in (pairs[0][0], pairs[0][1], pairs[1][0], pairs[1][1])))
+
+
+def _transforms(values: ComplexArray, window: SpectralWindow, omega: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Transforms (n, K) of answers (n, N), and those of the conjugate answers."""
+    if window.has_lines(omega):
+        lines, transform = window.lines(omega), np.fft.fft(values)
+        return transform[:, lines], transform[:, -lines].conj()
+    turns = np.exp(-1j * window.step * np.multiply.outer(np.arange(window.length), omega))
+    return values @ turns, values.conj() @ turns
+
+
+def _bandlimited(window: SpectralWindow, omega: Array, p: ComplexArray) -> Peaks:
+    """The same for inputs without content beyond the Nyquist frequency: integrals in place of sums.
+
+    What sums fold back from beyond it is that of peaks without a window, as it is far from them.
+    """
+    h, r, k = window.step, window.correlation, np.arange(window.length)
+    fading = h * r * np.exp(p[:, None] * h * k)
+    fading[:, 0] *= 0.5
+    values, slopes = (_transforms(each, window, omega) for each in (fading, fading * (k * h)))
+    s = 1j * omega
+    folded = [_folded(pole[:, None] - s, h) for pole in (p, p.conj())]
+    return Peaks(
+        values[0] + folded[0][0], values[1] + folded[1][0], slopes[0] + folded[0][1], slopes[1] + folded[1][1]
+    )
+
+
+def _folded(q: ComplexArray, h: float) -> tuple[ComplexArray, ComplexArray]:
+    """Integral less trapezoidal sum of `exp(q t)` for t > 0, and its derivative: `-1/q + h/2 coth(q h/2)`."""
+    x = 0.5 * h * q
+    near = np.abs(x) < _NEAR * np.pi
+    small, large = np.where(near, x, 0.0), np.where(near, 1.0, x)
+    series = small / 3 - small**3 / 45 + 2 * small**5 / 945 - small**7 / 4725 + 2 * small**9 / 93555
+    slope = 1 / 3 - small**2 / 15 + 2 * small**4 / 189 - small**6 / 675 + 2 * small**8 / 10395
+    exact = 1 / np.tanh(large) - 1 / large
+    exact_slope = 1 / large**2 - 1 / np.sinh(large) ** 2
+    return 0.5 * h * np.where(near, series, exact), 0.25 * h**2 * np.where(near, slope, exact_slope)
+
+
+def response_through(
+    window: SpectralWindow, omega: Array, p: ComplexArray, residues: ComplexArray, feedthrough: Array
+) -> ComplexArray:
+    """Response (q, m, K) as a window shows it, of residues (n, q, m), those of real poles halved, and (q, m)."""
+    peaks = windowed_peaks(window, omega, p)
+    modes = np.einsum("lqi,lk->qik", residues, peaks.ahead) + np.einsum("lqi,lk->qik", residues.conj(), peaks.behind)
+    return np.asarray(modes + feedthrough[..., None] / window.hold_at(omega))
+
+
+# --- the law of the errors --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class WindowErrors:
+    """Moments of the errors of estimated responses, times the number of blocks, at all lines of a band.
+
+    Of q outputs and m inputs.  Entry d of each array is that of the lines `k + d` and `k`, for `k` in a run of lines.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first line.
+    noise : ndarray of complex, shape (b + 1, K)
+        Covariance that white noise at an output leaves, of the variance of an input.
+    motion : ndarray of complex, shape (q, q, b + 1, K)
+        Covariance by what outputs still do from before a block, where all inputs have variance 1, for any one input.
+    crossed : ndarray of complex, shape (2, q, m, s, b + 1, K)
+        Factors of the moments without conjugate: those of entries (a, i) and (b, j) are
+        `crossed[0, a, j] crossed[1, b, i]`, summed over a block and the s that overlap it.
+    """
+
+    first: int
+    noise: ComplexArray
+    motion: ComplexArray
+    crossed: ComplexArray
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        return self.crossed.shape[2]
+
+    def covariance(self, lines: Indices, outputs: tuple[int, int], noise: float) -> ComplexArray:
+        """Diagonals of the covariance at some lines in ascending order, for this ratio of the variances."""
+        o, other = outputs
+        return among(self.motion[o, other] + noise * self.noise * (o == other), lines - self.first)
+
+    def relation(self, lines: Indices, entry: tuple[int, int], other: tuple[int, int]) -> ComplexArray:
+        """Diagonals of the moments without conjugate of two entries, (output, input), at some lines."""
+        return among(self.relation_at(entry, other), lines - self.first)
+
+    def relation_at(self, entry: tuple[int, int], other: tuple[int, int]) -> ComplexArray:
+        """The same at all lines."""
+        (a, i), (b, j) = entry, other
+        return np.asarray(np.sum(self.crossed[0, a, j] * self.crossed[1, b, i], axis=0))
+
+
+def error_bands(
+    window: SpectralWindow, lines: Indices, p: ComplexArray, residues: ComplexArray, feedthrough: Array
+) -> WindowErrors:
+    """Moments of errors of responses of a plant, by its `residues` (n, q, m) and what is fed through (q, m).
+
+    Of unit inputs `u` the block at k has the transforms U and Y = H U + R, where H is the mean of the estimate and R,
+    which is not correlated with U at this line, is noise and the answer to what was before.  So the error is that of
+    `R conj(U)`, with the covariance `E[R_k R_l*] E[U_k* U_l]` and, as R is correlated with U at other lines, the moment
+    `E[R_k U_l*] E[R_l U_k*]`, summed over a block and those that overlap it.
+    O(q^2 m N log N) for each of the few lines within which transforms of a window are correlated.
+    """
+    N, first, last = window.length, int(lines.min()), int(lines.max())
+    some = np.arange(first, last + 1)
+    m = np.arange(-(N - 1), N)
+    plant = _Sampled.of(window, p, residues, feedthrough)
+    held = window.hold_at(some * window.line)
+    power, width = window.overlaps(0)[N - 1].real, min(window.reach + 1 + _BEYOND, len(some))
+    shifts = [0, *(sign * shift for shift in range(window.shift, N, window.shift) for sign in (1, -1))]
+    q, inputs = feedthrough.shape
+    noise = np.zeros((width, len(some)), complex)
+    motion = np.zeros((q, q, width, len(some)), complex)
+    crossed = np.zeros((2, q, inputs, len(shifts), width, len(some)), complex)
+    H = np.fft.fft(plant.answers(np.arange(N)) * window.correlation)  # (q, m, N)
+    for d in range(width):
+        overlaps, ahead = window.overlaps(-d), (some + d) % N  # between lines k + d and k
+        H_ahead, H_here = H[..., ahead], H[..., some].conj()
+        for place, shift in enumerate(shifts):
+
+            def transformed(values: NDArray[Any], overlaps: ComplexArray = overlaps, ahead: Indices = ahead) -> Any:
+                folded = np.zeros((*values.shape[:-1], N), complex)
+                products = values * overlaps
+                folded[..., 1:], folded[..., 0] = products[..., : N - 1] + products[..., N:], products[..., N - 1]
+                return np.fft.fft(folded)[..., ahead]
+
+            UU = transformed((m == shift).astype(float))
+            RU = transformed(plant.answers(m - shift)) - H_ahead * UU  # (q, m, K)
+            UR = transformed(plant.answers(shift - m)) - H_here * UU
+            YY = transformed(plant.correlations(m - shift))
+            RR = (
+                YY
+                - np.einsum("aik,bik->abk", H_ahead, UR)
+                - np.einsum("aik,bik->abk", RU, H_here)
+                - np.einsum("aik,bik->abk", H_ahead, H_here) * UU
+            )
+            motion[:, :, d] += RR * UU.conj() / power**2
+            noise[d] += np.abs(UU) ** 2 / power**2
+            crossed[0, :, :, place, d], crossed[1, :, :, place, d] = RU / power, UR.conj() / power
+        kept = len(some) - d
+        noise[d, :kept] /= held[d:] * held[:kept].conj()
+        motion[:, :, d, :kept] /= held[d:] * held[:kept].conj()
+        crossed[0, ..., d, :kept] /= held[d:] * held[:kept]
+    return WindowErrors(first, noise, motion, crossed)
+
+
+@dataclass(frozen=True)
+class _Sampled:
+    """Answers of a plant from sample to sample: `first` (q, m) at once, then `sum weights multipliers^(k - 1)`."""
+
+    first: Array
+    weights: ComplexArray  # (2n, q, m)
+    multipliers: ComplexArray  # (2n,)
+
+    @classmethod
+    def of(cls, window: SpectralWindow, p: ComplexArray, residues: ComplexArray, feedthrough: Array) -> _Sampled:
+        # motion that never ends would have no bound
+        p = np.minimum(p.real, -_LONGEST * window.line) + 1j * p.imag
+        hold = "zoh" if window.hold == "bandlimited" else window.hold
+        step = SampledModes.of(Hold(window.step, "exact", hold), p)
+        lam = np.exp(p * window.step)
+        weights = residues * (step.b0 + lam * step.b1)[:, None, None]
+        first = feedthrough + 2 * np.einsum("l,lqi->qi", step.b1, residues).real
+        return cls(first, np.concatenate([weights, weights.conj()]), np.concatenate([lam, lam.conj()]))
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs."""
+        return len(self.first)
+
+    def _powers(self, k: Array) -> ComplexArray:
+        return np.asarray(np.exp(np.log(self.multipliers)[:, None] * np.maximum(k, 0)))
+
+    def answers(self, k: Array) -> Array:
+        """Answers (q, m, len(k)) after so many samples."""
+        later = np.einsum("lqi,lk->qik", self.weights, self._powers(k - 1)).real
+        return np.asarray(np.where(k > 0, later, np.where(k == 0, self.first[..., None], 0.0)))
+
+    def correlations(self, k: Array) -> Array:
+        """Correlations `E[y_a(t + k) y_b(t)]` (q, q, len(k)) for white inputs of variance 1."""
+        sums = 1.0 / (1.0 - np.multiply.outer(self.multipliers, self.multipliers))
+        shapes = np.einsum("lai,lr,rbi->lab", self.weights, sums, self.weights)
+        # that of the answer at once with later ones, after one sample or more
+        shapes_later = shapes * self.multipliers[:, None, None] + np.einsum("lai,bi->lab", self.weights, self.first)
+        ahead = np.einsum("lab,lk->abk", shapes_later, self._powers(np.abs(k) - 1)).real
+        there = (shapes.sum(axis=0).real + self.first @ self.first.T)[..., None]
+        return np.asarray(np.where(k == 0, there, np.where(k > 0, ahead, np.swapaxes(ahead, 0, 1))))

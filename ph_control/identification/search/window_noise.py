@@ -1,0 +1,157 @@
+"""The errors of responses that were estimated with a window: before a model is known, and by the model.
+
+Blocks of a record begin in motion, so that the errors of an estimated response are largest at its resonances, and those
+of neighbouring lines are correlated.  All follows from the modes and from the ratio of the noise of each output to the
+input, which is estimated from what the modes leave, as the likelihood of the residuals with their own degrees of
+freedom has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import lapack
+from scipy.optimize import minimize_scalar
+
+from ..._types import Array, ComplexArray, Indices
+from ...analysis.spectral_window import SpectralWindow
+from ..data.channels import ResponseMatrix
+from ..data.line_errors import BandedFactor, LineErrors
+from ..regression.free import FreeProjection, by_poles
+from ..regression.frequency_rows import FreeResponse
+from ..regression.spectral_rows import real_rows
+from ..regression.windowed import WindowErrors, error_bands
+
+if TYPE_CHECKING:
+    from .modal_search import FreeFit
+
+_CURVED = 0.1  # of the second differences of a response: errors of its peaks before they are known
+_RIDGE = 1e-12  # of unit columns that may be alike
+_RATIOS = np.geomspace(1e-4, 1e4, 13)  # of noise to motion, in the median of the lines
+
+
+def _noise_alone(window: SpectralWindow, omega: Array) -> ComplexArray:
+    """Correlations (b + 1, K) of the errors that white noise leaves."""
+    lines = window.lines(omega)
+    none = np.zeros(0, complex), np.zeros((0, 1, 1), complex), np.zeros((1, 1))
+    bands = error_bands(window, lines, *none).covariance(lines, (0, 0), 1.0)
+    sizes = np.sqrt(bands[0].real)
+    for d in range(len(bands)):
+        bands[d, : len(sizes) - d] /= sizes[d:] * sizes[: len(sizes) - d]
+    return bands
+
+
+def _of_variances(data: ResponseMatrix, variances: Array) -> ResponseMatrix:
+    """Responses with errors of these variances (p, m, K), correlated as those of noise."""
+    assert data.window is not None
+    sizes, correlation = np.sqrt(variances), _noise_alone(data.window, data.omega)
+    bands = np.tile(correlation, (*sizes.shape[:2], 1, 1))
+    for d in range(len(correlation)):
+        kept = data.samples - d
+        bands[:, :, d, :kept] *= sizes[..., d:] * sizes[..., :kept]
+    return with_errors(data, LineErrors(bands, np.zeros_like(bands), np.zeros(len(sizes))))
+
+
+def with_errors(data: ResponseMatrix, errors: LineErrors) -> ResponseMatrix:
+    """Responses with other errors, and weights that go with them."""
+    return replace(data, errors=errors, weights=np.where(data.observed, errors.weights, 1.0))
+
+
+def in_weights(data: ResponseMatrix) -> ResponseMatrix:
+    """Responses with errors of which the variances are the inverse of their weights."""
+    return _of_variances(data, 1.0 / data.weights)
+
+
+def of_curvature(data: ResponseMatrix) -> ResponseMatrix:
+    """Responses with errors as their second differences let them appear: of noise, and about narrow peaks."""
+    padded = np.pad(np.nan_to_num(data.response), ((0, 0), (0, 0), (1, 1)), mode="edge")
+    curved = np.abs(np.diff(padded, 2)) ** 2
+    scale = np.median(curved, axis=-1, keepdims=True)
+    curved = np.pad(curved / np.where(scale > 0, scale, 1.0), ((0, 0), (0, 0), (1, 1)), mode="edge")
+    near = np.mean(np.lib.stride_tricks.sliding_window_view(curved, 3, axis=-1), axis=-1)
+    return _of_variances(data, 1.0 + _CURVED * near)
+
+
+def of_model(fit: FreeFit) -> list[ResponseMatrix]:
+    """Responses with the errors that a model of them leaves, and noise of each output as the residuals show it."""
+    projection = fit.projection
+    p, m = len(fit.channels[0].output_labels), len(fit.channels[0].input_labels)
+    residues = (projection.residues[:, :, 0] * fit.scales).reshape(len(projection.p), p, m)
+    residues[projection.p.imag == 0] = residues[projection.p.imag == 0].real
+    feedthrough = (projection.feedthrough[:, 0] * fit.scales).reshape(p, m)
+    channels = []
+    for data in fit.channels:
+        lines = data.window.lines(data.omega)
+        law = error_bands(data.window, lines, projection.p, residues, feedthrough)
+        mine = [
+            (k, rows) for k, rows in enumerate(projection.experiments)
+            if isinstance(rows, FreeResponse) and rows.frequencies is data.omega
+        ]  # fmt: skip
+        noise = np.array([
+            _likeliest_noise(projection, [pair for pair in mine if pair[1].outputs[0] // m == output], law, output)
+            for output in range(p)
+        ])  # fmt: skip
+        covariances = np.array([[law.covariance(lines, (o, o), noise[o])] * m for o in range(p)])
+        relations = np.array([[law.relation(lines, (o, i), (o, i)) for i in range(m)] for o in range(p)])
+        unit = np.median(covariances[:, :, :1].real, axis=-1, keepdims=True)
+        errors = LineErrors(covariances / unit, relations / unit, noise)
+        object.__setattr__(errors, "law", law)
+        channels.append(with_errors(data, errors))
+    return channels
+
+
+def _likeliest_noise(
+    projection: FreeProjection, seen: Sequence[tuple[int, FreeResponse]], law: WindowErrors, output: int
+) -> float:
+    """Variance of noise over that of an input with which the residuals of an output are likeliest."""
+    motion = float(np.median(law.motion[output, output, 0].real)) / float(np.median(law.noise[0].real))
+    if motion <= 0 or not seen:
+        return 1.0
+    entries = [_Entry.of(projection, k, rows, law.inputs) for k, rows in seen]
+
+    def unlikely(log_ratio: float) -> float:
+        return sum(entry.unlikely(law, motion * float(np.exp(log_ratio))) for entry in entries)
+
+    tried = np.log(_RATIOS)
+    best = int(np.argmin([unlikely(ratio) for ratio in tried]))
+    bounds = tried[max(0, best - 1)], tried[min(len(tried) - 1, best + 1)]
+    end = minimize_scalar(unlikely, bounds=bounds, method="bounded", options={"xatol": 0.02})
+    return motion * float(np.exp(end.x))
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """An entry of responses: the columns (k, K) that its fit is free in, and what was measured, as last of them."""
+
+    place: tuple[int, int]
+    lines: Indices
+    columns: ComplexArray
+
+    @classmethod
+    def of(cls, projection: FreeProjection, k: int, rows: FreeResponse, inputs: int) -> _Entry:
+        """That of rows of a fit."""
+        plain, n = replace(rows, white=None, scale=np.ones(len(rows.scale))), len(projection.p)
+        assert plain.window is not None
+        columns, entry = next(plain.at(projection.p).blocks()), int(rows.outputs[0])
+        linear = plain.own_unknowns(n) + 2 * n + plain.through
+        derivatives = columns[linear : linear + 4 * n].T
+        slopes = by_poles(derivatives, plain, projection.own[k][:, 0], projection.residues[:, entry])
+        parts = np.concatenate([columns[:linear], slopes.T, columns[-1:]])
+        half = len(plain.omega)
+        each = parts[:, :half] + 1j * parts[:, half:]
+        return cls(divmod(entry, inputs), plain.window.lines(plain.omega), each)
+
+    def unlikely(self, law: WindowErrors, noise: float) -> float:
+        """-2 log-likelihood of what is left, with the degrees of freedom that it has, its scale at its best."""
+        covariance = law.covariance(self.lines, (self.place[0],) * 2, noise)
+        factor = BandedFactor.of(covariance, law.relation(self.lines, self.place, self.place))
+        rows = real_rows([factor.whitened(self.columns)])
+        lengths = np.linalg.norm(rows, axis=1)
+        unit = rows[lengths > 0] / lengths[lengths > 0, None]
+        R, _ = lapack.dpotrf(unit @ unit.T + _RIDGE * np.eye(len(unit)))
+        sizes = np.log(np.abs(np.diag(R))) + np.log(lengths[lengths > 0])
+        spare = max(1, rows.shape[1] - len(sizes) + 1)
+        return float(factor.log_determinant + 2 * spare * sizes[-1] + 2 * np.sum(sizes[:-1]))
