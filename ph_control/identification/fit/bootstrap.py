@@ -16,6 +16,7 @@ from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
 from ..data.channels import Recording
 from ..data.experiments import as_channels
+from ..diagnosis.changing_noise import levels_of
 from ..diagnosis.hum import Tones
 from ..diagnosis.unequal_noise import experiments_of
 from ..regression.free import FreeProjection, GivenResidues, refine_free
@@ -305,7 +306,9 @@ class _Refit:
         if isinstance(channels[0], Recording):
             scales = [experiment.noise_scale for experiment in result.experiments]
             quiet = Tones.of(result.findings, channels).taken_from(channels)
-            channels = [channel.adjusted(scale) for channel, scale in zip(quiet, scales, strict=True)]
+            levels = levels_of(result.findings, channels)
+            each = zip(quiet, scales, levels, strict=True)
+            channels = [channel.adjusted(scale, level=level) for channel, scale, level in each]
         terms = int(np.isfinite(result.stderr["offset"]).any())
         terms += any(
             np.any(getattr(experiment, "drifts", getattr(experiment, "drift", 0.0)))
@@ -406,5 +409,7 @@ def _target(rows: Any) -> NDArray[Any]:
 
 
 def _weight(rows: Any) -> Array | float:
-    """Factor that makes the residuals of the rows alike."""
-    return 1.0 if isinstance(rows, FreeRecord) else rows.weight
+    """Factor that makes the residuals of the rows alike, of all observed or of each."""
+    if isinstance(rows, FreeRecord):
+        return 1.0 if rows.level is None else 1.0 / rows.level[rows.observed]
+    return rows.weight
