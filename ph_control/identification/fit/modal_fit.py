@@ -24,7 +24,7 @@ from ..data.time_record import Record
 from ..diagnosis.changing_noise import changing_levels, findings_of
 from ..diagnosis.coloured_noise import beside_coloured_noise, is_white
 from ..diagnosis.fitted_directions import FittedModel, directions_of
-from ..diagnosis.hum import Tones, tones_in, undriven
+from ..diagnosis.hum import Tones, lines_in, tones_in, undriven
 from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.unequal_noise import in_equal_noise
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
@@ -64,6 +64,7 @@ _COUNTED = 400_000  # samples times unknowns up to which these are felt by the t
 _HALF = 0.05  # of half a sample: what a delay may differ from it by
 _OPPOSED = 0.7  # cosine of the angle within which a residue points against the force
 _ROUNDS = 3  # of fits and of the noise of experiments in turn
+_MOST_TONES = 20  # times that more tones are looked for
 _SAME_LEVEL = 0.02  # mean difference of the logarithms of levels of noise that are the same
 _SAME = 1.0  # difference of the BIC of models that are the same
 _CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
@@ -155,7 +156,8 @@ def fit_channels(
     def searched(channels: Channels) -> _Searched:
         return _Searched(channels, *_beside_motion(search_in(channels), order, start, options.moving, resting))
 
-    latest = _beside_unequal_noise(_beside_hum(searched(channels), searched), searched)
+    latest = _beside_hum(searched(channels), searched, isinstance(order, str))
+    latest = _beside_unequal_noise(latest, searched)
     latest = _beside_changing_noise(latest, searched)
     search, moving = search_in(latest.channels), latest.moving
     free = replace(
@@ -183,17 +185,26 @@ class _Searched:
     findings: tuple[Finding, ...] = ()
 
 
-def _beside_hum(latest: _Searched, searched: Callable[[Channels], _Searched]) -> _Searched:
-    """The fit beside tones in place of modes that neither decay nor are driven, where the criterion agrees."""
-    while len(more := undriven(latest.free)):
+def _beside_hum(latest: _Searched, searched: Callable[[Channels], _Searched], automatic: bool) -> _Searched:
+    """The fit beside tones in place of modes that neither decay nor are driven, where the criterion agrees.
+
+    So it is with lines of the residuals, unless modes may be missing as their number is not `automatic`.
+    """
+    for _ in range(_MOST_TONES):
         free = latest.free
+        more = free.projection.p.imag[undriven(free)]
+        more = lines_in(free) if automatic and not len(more) else more
+        if not len(more):
+            break
         hums = Tones.of(latest.findings, latest.channels)
-        tones = tones_in(free, np.append(hums.frequencies, free.projection.p.imag[more]))
+        tones = tones_in(free, np.append(hums.frequencies, more))
         for _ in range(_ROUNDS):
             again = searched(tones.taken_from(latest.channels))
             if again.free.interrupted:
                 return latest
             taken, tones = tones, tones_in(again.free, tones.frequencies)
+            if tones.is_near(taken):
+                break
         charge = taken.unknowns * float(np.log(free.projection.rows))
         saved = 0.5 * (free.criteria.bic - again.free.criteria.bic - charge)
         if saved <= 0:

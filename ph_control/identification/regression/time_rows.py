@@ -254,6 +254,15 @@ class FreeRecord:
             whole_record=known and replace(known, u=known.u * size, y=known.y * size),
         )  # fmt: skip
 
+    def without(self, signals: Array) -> FreeRecord:
+        """The record less signals (q, T) of all samples, in the unit of its outputs before their scale."""
+        known = self.whole_record
+        if known is None:
+            return replace(self, y=self.y - signals)
+        y = known.y - signals
+        seen = slice(known.first, known.u.shape[-1] - known.last)
+        return replace(self, y=y[:, seen], whole_record=replace(known, y=y))
+
     def placed(self, values: Array) -> Array:
         """What is predicted at the samples of the record at those of the whole one, NaN where inputs are unknown."""
         known = self.whole_record
