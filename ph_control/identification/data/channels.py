@@ -12,7 +12,7 @@ import numpy as np
 from control import FrequencyResponseData, TimeResponseData
 
 from ... import _checks
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, Indices
 from ..._units import checked_unit
 from ...analysis.spectral_window import SpectralWindow, window_of
 from ...exceptions import IdentificationError, StructureError
@@ -82,18 +82,39 @@ class Recording(InTime):
         return 0.0
 
     @property
+    def level(self) -> Array | None:
+        """Noise of each sample of the outputs over that of the recording, shape (p, T); None where it is the same."""
+        return None
+
+    @property
     def original(self) -> Recording:
         """The recording as it was measured."""
         return self
 
-    def adjusted(self, unit: float | None = None, hum: Array | float | None = None) -> Recording:
-        """The same with another hum subtracted from the outputs, and with inputs and outputs divided by a number."""
+    def adjusted(
+        self, unit: float | None = None, hum: Array | float | None = None, level: Array | None = None
+    ) -> Recording:
+        """The same with another hum subtracted from the outputs, and with inputs and outputs divided by a number.
+
+        A `level` of the noise is kept beside them.
+        """
         unit, hum = self.unit if unit is None else unit, self.hum if hum is None else hum
-        if unit == 1 and not np.any(hum):
+        level = self.level if level is None else level
+        if unit == 1 and not np.any(hum) and level is None:
             return self.original
         given = {part.name: getattr(self.original, part.name) for part in fields(Recording)}
         given |= {"u": given["u"] / unit, "y": (given["y"] - hum) / unit}
-        return AdjustedRecording(**given, whole=self.original, divisor=unit, subtracted=hum)
+        return AdjustedRecording(**given, whole=self.original, divisor=unit, subtracted=hum, levels=level)
+
+    @property
+    def changes(self) -> Indices:
+        """First samples of the spans in which the noise of each output has one level, but for the first."""
+        return np.zeros(0, int) if self.level is None else np.flatnonzero(np.diff(self.level, axis=1).any(axis=0)) + 1
+
+    @property
+    def of_one_level(self) -> Recording:
+        """The same without the level of its noise."""
+        return self
 
     def __repr__(self) -> str:
         return f"<Recording: {self.samples} samples, step {self.dt:.6g}, {_shape(self)}>"
@@ -123,11 +144,12 @@ class Recording(InTime):
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class AdjustedRecording(Recording):
-    """A `whole` recording without a hum of its outputs, and in another unit."""
+    """A `whole` recording without a hum of its outputs, in another unit, and with the level of its noise in time."""
 
     whole: Recording
     divisor: float
     subtracted: Array | float
+    levels: Array | None = None
 
     @property
     def unit(self) -> float:
@@ -140,9 +162,19 @@ class AdjustedRecording(Recording):
         return self.subtracted
 
     @property
+    def level(self) -> Array | None:
+        """Noise of each sample of the outputs over that of the recording, shape (p, T); None where it is the same."""
+        return self.levels
+
+    @property
     def original(self) -> Recording:
         """The recording as it was measured."""
         return self.whole
+
+    @property
+    def of_one_level(self) -> Recording:
+        """The same without the level of its noise."""
+        return replace(self, levels=None)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -99,4 +99,6 @@ def cut(record: Any, part: slice) -> Any:
         return record
     short = part.stop - part.start <= LONG
     u, y = (np.asarray(x[..., part], float if short else x.dtype) for x in (record.u, record.y))
-    return replace(record, time=record.clock[part], u=u, y=y)  # type: ignore[type-var]
+    level = getattr(record, "level", None)
+    changes = {} if level is None else {"levels": level[:, part]}
+    return replace(record, time=record.clock[part], u=u, y=y, **changes)  # type: ignore[type-var]

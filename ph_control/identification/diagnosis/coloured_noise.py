@@ -84,7 +84,7 @@ def is_white(projection: FreeProjection) -> bool:
     p_values = []
     for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
         if isinstance(rows, FreeRecord):
-            p_values += [ljung_box([residual[rows.observed]], TUNING.lags) for residual in rows.measured - predicted]
+            p_values += [ljung_box([each[rows.observed]], TUNING.lags) for each in rows.residuals(predicted)]
     return bool(p_values) and min(p_values) * len(p_values) >= TUNING.white
 
 
@@ -100,7 +100,7 @@ def noise_of(free: FreeFit, records: Sequence[FreeRecord]) -> list[OutputNoise]:
     for rows, predicted, shares in zip(
         records, projection.predictions(), _shares_left(projection, records), strict=True
     ):
-        residuals = np.where(rows.observed, rows.measured - predicted, 0.0)
+        residuals = rows.residuals(predicted)
         of_inputs = _gains(projection, rows)
         for output, residual, share, gain in zip(rows.outputs.tolist(), residuals, shares, of_inputs, strict=True):
             powers[output].append((np.abs(np.fft.rfft(residual)) ** 2 / share, rows.length))

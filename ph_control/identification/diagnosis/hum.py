@@ -12,15 +12,22 @@ from scipy.stats import chi2
 
 from ..._types import Array, Indices
 from ..data.channels import Recording
-from ..data.parts import is_long
+from ..regression.free import FreeProjection
 from ..regression.time_rows import FreeRecord
 from ..search.circumstances import Cause, Finding
 from ..search.modal_search import FreeFit
 from .unequal_noise import experiments_of
 
 _STILL = 3.0  # standard errors, or one over the record, that a decay rate of a tone may have
+_LARGEST = 1 << 24  # samples of all outputs beyond which nothing is said of tones
+_LINE = 1e-6  # probability that noise alone shows a line anywhere
+_BESIDE = 16  # bins on either side, whose level a line stands out of
+_WIDTH = 3  # bins on either side that a line may reach to, under the window
+_CLEAN = 0.02  # of the power of a line: what is beyond
 _UNDRIVEN = 1e-3  # p-value from which on an input does not drive a mode
-_PASSES = 3  # over the tones, which leak into one another
+_PASSES = 12  # of modes and tones in turn
+_ROUNDS = 3  # over the tones, which leak into one another
+_SETTLED = 1e-4  # relative change of their amplitudes
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,11 @@ class Tones:
             amplitudes.append(np.reshape(each, (len(each), 2, len(channel.output_labels))))
         return cls(np.array([hum.values[0] for hum in hums if not hum.experiment]), tuple(amplitudes))
 
+    def is_near(self, others: Tones) -> bool:
+        """Whether amplitudes are the same as those of others, but for a little."""
+        sizes = zip(self.amplitudes, others.amplitudes, strict=True)
+        return all(np.linalg.norm(new - old) <= _SETTLED * np.linalg.norm(new) for new, old in sizes)
+
     @property
     def unknowns(self) -> int:
         """Numbers that are estimated."""
@@ -75,8 +87,7 @@ def undriven(fit: FreeFit) -> Indices:
     """Modes that neither decay nor answer to any input: tones that were there in any case."""
     projection, n = fit.projection, len(fit.projection.p)
     rows = [record for record in projection.experiments if isinstance(record, FreeRecord)]
-    unfit = fit.interrupted or fit.rounding or fit.per_entry or is_long(fit.channels)
-    if unfit or not projection.inputs or not all(record.driven and record.moving for record in rows):
+    if _unfit(fit):
         return np.zeros(0, int)
     covariance, width = fit.covariance, projection.shared.shape[0]
     still = np.maximum(
@@ -94,22 +105,79 @@ def undriven(fit: FreeFit) -> Indices:
     return np.array(tones, int)
 
 
-def tones_in(fit: FreeFit, frequencies: Array) -> Tones:
-    """Tones near to some frequencies, in what the driven modes of a fit leave, by least squares in its noise."""
-    measured, tones = fit.projection if fit.measured is None else fit.measured, undriven(fit)
-    p, channels = measured.p, fit.channels
-    remainders: list[Any] = [np.full(channel.y.shape, np.nan) for channel in channels]
-    places = experiments_of(measured.experiments, channels).tolist()
-    parts = zip(measured.experiments, measured.own, measured.predictions(), places, strict=True)
-    for record, own, predicted, place in parts:
+def lines_in(fit: FreeFit) -> Array:
+    """Frequencies of single lines that stand out of the spectra of what a fit leaves, with no power about them.
+
+    A mode that is missing has a peak that is broader, as inputs drive it all along.
+    """
+    if _unfit(fit):
+        return np.zeros(0)
+    frequencies: list[float] = []
+    for record, predicted in zip(fit.projection.experiments, fit.projection.predictions(), strict=True):
         assert isinstance(record, FreeRecord)
-        channel, outputs = channels[place], record.outputs
-        motion = 2 * record.motion_at_start(p, measured.residues[:, outputs], own)[tones].T
-        alone = (motion @ np.exp(np.outer(p[tones], channel.dt * np.arange(float(channel.samples))))).real
-        rest = channel.y[outputs] - fit.scales[outputs, None] * (record.placed(predicted) - alone)
-        remainders[place][outputs] = channel.unit * rest + np.broadcast_to(channel.hum, channel.y.shape)[outputs]
+        count, last = len(record.outputs), (record.length - 1) // 2
+        if last < 4 * _BESIDE:
+            continue
+        residuals = record.residuals(predicted) * np.hanning(record.length)
+        power = np.abs(np.fft.rfft(residuals)[:, : last + 1]) ** 2
+        windows = np.lib.stride_tricks.sliding_window_view(np.pad(power, ((0, 0), (_BESIDE, _BESIDE)), "edge"),
+                                                           2 * _BESIDE + 1, axis=1)  # fmt: skip
+        level = np.maximum(np.median(windows, axis=2) / np.log(2), np.finfo(float).tiny)
+        statistic = 2 * np.sum(power / level, axis=0)
+        statistic[:_BESIDE] = 0.0
+        limit = float(chi2.isf(_LINE / last, 2 * count))
+        while (place := int(np.argmax(statistic))) and statistic[place] > limit:
+            about = np.arange(place - _WIDTH, place + _WIDTH + 1)
+            flanks = np.r_[about[0] - 2 : about[0], about[-1] + 1 : about[-1] + 3]
+            flanks = flanks[flanks <= last]
+            if statistic[flanks].max(initial=0.0) < _CLEAN * statistic[place]:
+                frequencies.append(2 * np.pi * place / (record.length * record.hold.h))
+            statistic[max(0, place - _BESIDE) : place + _BESIDE] = 0.0
+    return np.unique(frequencies)
+
+
+def _unfit(fit: FreeFit) -> bool:
+    """Whether nothing is said of tones: of responses, of what is nothing but rounding, and of very long recordings."""
+    rows = [record for record in fit.projection.experiments if isinstance(record, FreeRecord)]
+    unfit = fit.interrupted or fit.rounding or fit.per_entry or not fit.projection.inputs
+    return unfit or sum(channel.y.size for channel in fit.channels) > _LARGEST or not all(
+        record.driven and record.moving for record in rows
+    )  # fmt: skip
+
+
+def tones_in(fit: FreeFit, frequencies: Array) -> Tones:
+    """Tones near to some frequencies, beside the modes of a fit that are driven, by least squares in its noise.
+
+    The modes that stood for tones are left out: what the inputs drive in them is noise.
+    """
+    measured, channels = fit.projection if fit.measured is None else fit.measured, fit.channels
+    driven, places = np.delete(measured.p, undriven(fit)), experiments_of(measured.experiments, channels).tolist()
+    parts = list(zip(measured.experiments, places, strict=True))
+    best = np.array(frequencies, float)
+    tones = Tones(best, tuple(np.zeros((len(best), 2, channel.y.shape[0])) for channel in channels))
+    for _ in range(_PASSES):
+        beside = []
+        for record, place in parts:
+            assert isinstance(record, FreeRecord)
+            known = tones.signals(channels)[place] - np.broadcast_to(channels[place].hum, channels[place].y.shape)
+            beside.append(record.without(known[record.outputs] / channels[place].unit))
+        predictions = FreeProjection(beside, driven, measured.fed).predictions()
+        remainders: list[Any] = [np.full(channel.y.shape, np.nan) for channel in channels]
+        for (record, place), predicted in zip(parts, predictions, strict=True):
+            assert isinstance(record, FreeRecord)
+            channel, outputs = channels[place], record.outputs
+            rest = channel.y[outputs] - fit.scales[outputs, None] * record.placed(predicted)
+            remainders[place][outputs] = channel.unit * rest + np.broadcast_to(channel.hum, channel.y.shape)[outputs]
+        weights = [1.0 / (channel.unit * fit.scales) for channel in channels]
+        before, tones = tones, _fitted(tones, remainders, channels, weights)
+        if tones.is_near(before):
+            break
+    return tones
+
+
+def _fitted(tones: Tones, remainders: Sequence[Array], channels: Sequence[Any], weights: Sequence[Array]) -> Tones:
+    """Tones in what modes leave of recordings, one after the other, from where they are."""
     times = [channel.dt * np.arange(channel.samples) for channel in channels]
-    weights = [1.0 / (channel.unit * fit.scales) for channel in channels]
     seen = [np.isfinite(rest) for rest in remainders]
     remainders = [np.where(known, rest, 0.0) for known, rest in zip(seen, remainders, strict=True)]
 
@@ -125,24 +193,19 @@ def tones_in(fit: FreeFit, frequencies: Array) -> Tones:
             amplitudes.append(each.T)
         return gain, amplitudes
 
-    def without(tone: int) -> list[Array]:
-        others = [np.where(np.arange(len(best))[:, None, None] == tone, 0.0, each) for each in stacked()]
-        signals = Tones(best, tuple(others)).signals(channels)
-        return [part - np.where(known, s, 0.0) for part, known, s in zip(remainders, seen, signals, strict=True)]
-
-    def stacked() -> list[Array]:
-        return [np.array([each[e] for each in amplitudes]) for e in range(len(channels))]
-
-    best = np.array(frequencies, float)
-    amplitudes = [[np.zeros((2, channel.y.shape[0])) for channel in channels] for _ in best]
+    best, amplitudes = tones.frequencies.copy(), [each.copy() for each in tones.amplitudes]
     width = 2 * np.pi / max(t[-1] for t in times)
-    for _ in range(_PASSES):
-        for k, start in enumerate(frequencies):
-            rest = without(k)
+    for _ in range(_ROUNDS):
+        for k, start in enumerate(tones.frequencies):
+            for each in amplitudes:
+                each[k] = 0.0
+            others = Tones(best, tuple(amplitudes)).signals(channels)
+            rest = [part - np.where(known, s, 0.0) for part, known, s in zip(remainders, seen, others, strict=True)]
             highest = minimize_scalar(
                 lambda w, rest=rest: -fitted(w, rest)[0], bounds=(start - 0.75 * width, start + 0.75 * width),
                 method="bounded", options={"xatol": 1e-6 * width},
             )  # fmt: skip
             best[k] = highest.x
-            amplitudes[k] = fitted(float(best[k]), rest)[1]
-    return Tones(best, tuple(stacked()))
+            for each, values in zip(amplitudes, fitted(float(best[k]), rest)[1], strict=True):
+                each[k] = values
+    return Tones(best, tuple(amplitudes))

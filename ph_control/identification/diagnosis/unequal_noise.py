@@ -42,7 +42,7 @@ def noise_units(fit: FreeFit) -> tuple[Array, float]:
     rows = zip(fit.projection.experiments, fit.projection.predictions(), places.tolist(), strict=True)
     for record, predicted, place in rows:
         assert isinstance(record, FreeRecord)
-        residuals = np.where(record.observed, record.measured - predicted, 0.0)
+        residuals = record.residuals(predicted)
         squares[place, record.outputs] += channels[place].unit ** 2 * np.sum(residuals**2, axis=1)
         counts[place, record.outputs] += record.samples
     seen, total = counts.sum(axis=1), counts.sum()

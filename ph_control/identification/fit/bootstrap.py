@@ -16,6 +16,7 @@ from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
 from ..data.channels import Recording
 from ..data.experiments import as_channels
+from ..diagnosis.changing_noise import levels_of
 from ..diagnosis.hum import Tones
 from ..diagnosis.unequal_noise import experiments_of
 from ..regression.free import FreeProjection, GivenResidues, refine_free
@@ -305,7 +306,9 @@ class _Refit:
         if isinstance(channels[0], Recording):
             scales = [experiment.noise_scale for experiment in result.experiments]
             quiet = Tones.of(result.findings, channels).taken_from(channels)
-            channels = [channel.adjusted(scale) for channel, scale in zip(quiet, scales, strict=True)]
+            levels = levels_of(result.findings, channels)
+            each = zip(quiet, scales, levels, strict=True)
+            channels = [channel.adjusted(scale, level=level) for channel, scale, level in each]
         terms = int(np.isfinite(result.stderr["offset"]).any())
         terms += any(
             np.any(getattr(experiment, "drifts", getattr(experiment, "drift", 0.0)))
@@ -347,7 +350,7 @@ class _Refit:
         for record, predicted, noise in zip(self.rows, self.predictions, self.noise, strict=True):
             output = np.where(record.observed, predicted, 0.0)
             drawn = np.stack([random.choice(values, len(values)) for values in noise])
-            output[:, record.observed] += drawn if isinstance(record, FreeRecord) else record.out_of_rows(drawn)
+            output[:, record.observed] += _out_of_rows(record, drawn)
             rows.append(
                 replace(record, y=output, scale=None)
                 if isinstance(record, FreeRecord)
@@ -405,6 +408,15 @@ def _target(rows: Any) -> NDArray[Any]:
     return np.asarray(rows.measured if isinstance(rows, FreeRecord) else rows.response)
 
 
+def _out_of_rows(rows: Any, drawn: NDArray[Any]) -> NDArray[Any]:
+    """Residuals as large as they are in the rows."""
+    if isinstance(rows, FreeRecord):
+        return drawn if rows.level is None else drawn * rows.level[rows.observed]
+    return np.asarray(rows.out_of_rows(drawn))
+
+
 def _in_rows(rows: Any, residuals: NDArray[Any]) -> NDArray[Any]:
-    """Residuals made alike."""
-    return residuals if isinstance(rows, FreeRecord) else np.asarray(rows.in_rows(residuals))
+    """Residuals made alike, of all observed values."""
+    if isinstance(rows, FreeRecord):
+        return residuals if rows.level is None else residuals / rows.level[rows.observed]
+    return np.asarray(rows.in_rows(residuals))

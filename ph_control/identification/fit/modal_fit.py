@@ -21,9 +21,10 @@ from ..data.frequency_record import FrequencyRecord
 from ..data.parts import Difference, Signal
 from ..data.quantities import checked_quantities
 from ..data.time_record import Record
+from ..diagnosis.changing_noise import changing_levels, findings_of
 from ..diagnosis.coloured_noise import beside_coloured_noise, is_white
 from ..diagnosis.fitted_directions import FittedModel, directions_of
-from ..diagnosis.hum import Tones, tones_in, undriven
+from ..diagnosis.hum import Tones, lines_in, tones_in, undriven
 from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.unequal_noise import in_equal_noise
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
@@ -66,6 +67,8 @@ _COUNTED = 400_000  # samples times unknowns up to which these are felt by the t
 _HALF = 0.05  # of half a sample: what a delay may differ from it by
 _OPPOSED = 0.7  # cosine of the angle within which a residue points against the force
 _ROUNDS = 3  # of fits and of the noise of experiments in turn
+_MOST_TONES = 20  # times that more tones are looked for
+_SAME_LEVEL = 0.02  # mean difference of the logarithms of levels of noise that are the same
 _SAME = 1.0  # difference of the BIC of models that are the same
 _CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
 _FEW_MODES = 4  # that are tried for a motion that may be no decay
@@ -218,8 +221,11 @@ def _decays(channels: Sequence[Recording]) -> bool:
 
 def _in_noise_of(noise: str, fit: FreeFit, orders: bool) -> FreeFit:
     """A fit in the noise that is given, or the likeliest; where hits act in a part of a record, noise may change."""
+    records = [rows for rows in fit.projection.experiments if isinstance(rows, FreeRecord)]
+    if any(rows.level is not None for rows in records):
+        return fit
     if noise == "auto":
-        if any(is_short(rows) for rows in fit.projection.experiments if isinstance(rows, FreeRecord)):
+        if any(is_short(rows) for rows in records):
             return fit
         return beside_forces(fit, orders=orders)
     return beside_forces(fit, (noise,), certain=True, orders=orders) if noise in KINDS else fit
@@ -244,7 +250,9 @@ def _of_modes_and_inputs(
     def searched(channels: Channels) -> _Searched:
         return _Searched(channels, *_beside_motion(search_in(channels), order, start, options.moving, resting))
 
-    latest = _beside_unequal_noise(_beside_hum(searched(channels), searched), searched)
+    latest = _beside_hum(searched(channels), searched, isinstance(order, str))
+    latest = _beside_unequal_noise(latest, searched)
+    latest = _beside_changing_noise(latest, searched)
     search, moving = search_in(latest.channels), latest.moving
     free = replace(
         latest.free, findings=(*latest.findings, *latest.free.findings, *_about_order(latest.free, order, options))
@@ -271,17 +279,26 @@ class _Searched:
     findings: tuple[Finding, ...] = ()
 
 
-def _beside_hum(latest: _Searched, searched: Callable[[Channels], _Searched]) -> _Searched:
-    """The fit beside tones in place of modes that neither decay nor are driven, where the criterion agrees."""
-    while len(more := undriven(latest.free)):
+def _beside_hum(latest: _Searched, searched: Callable[[Channels], _Searched], automatic: bool) -> _Searched:
+    """The fit beside tones in place of modes that neither decay nor are driven, where the criterion agrees.
+
+    So it is with lines of the residuals, unless modes may be missing as their number is not `automatic`.
+    """
+    for _ in range(_MOST_TONES):
         free = latest.free
+        more = free.projection.p.imag[undriven(free)]
+        more = lines_in(free) if automatic and not len(more) else more
+        if not len(more):
+            break
         hums = Tones.of(latest.findings, latest.channels)
-        tones = tones_in(free, np.append(hums.frequencies, free.projection.p.imag[more]))
+        tones = tones_in(free, np.append(hums.frequencies, more))
         for _ in range(_ROUNDS):
             again = searched(tones.taken_from(latest.channels))
             if again.free.interrupted:
                 return latest
             taken, tones = tones, tones_in(again.free, tones.frequencies)
+            if tones.is_near(taken):
+                break
         charge = taken.unknowns * float(np.log(free.projection.rows))
         saved = 0.5 * (free.criteria.bic - again.free.criteria.bic - charge)
         if saved <= 0:
@@ -308,6 +325,39 @@ def _beside_unequal_noise(alone: _Searched, searched: Callable[[Channels], _Sear
     units = tuple(getattr(channel, "unit", 1.0) for channel in latest.channels)
     gain = 0.5 * (alone.free.criteria.bic - latest.free.criteria.bic - charge)
     return replace(latest, findings=(*alone.findings, Finding(Cause.UNEQUAL_NOISE, units, gain)))
+
+
+def _beside_changing_noise(alone: _Searched, searched: Callable[[Channels], _Searched]) -> _Searched:
+    """The fit where each sample counts by the level of the noise in its span, where that is likelier."""
+    latest = alone
+    for _ in range(_ROUNDS):
+        levels = changing_levels(latest.free)
+        if levels is None or _same_levels(levels, latest.channels):
+            break
+        again = searched(tuple(
+            channel.of_one_level if level is None else channel.adjusted(level=level)  # type: ignore[union-attr]
+            for channel, level in zip(latest.channels, levels, strict=True)
+        ))  # fmt: skip
+        if again.free.interrupted:
+            break
+        latest = again
+    findings = findings_of(latest.channels, 0.0)
+    charge = sum(len(finding.values) - 2 for finding in findings) * float(np.log(alone.free.projection.rows))
+    gain = 0.5 * (alone.free.criteria.bic - latest.free.criteria.bic - charge)
+    # what modes that are missing leave says nothing of the noise
+    if latest is alone or gain <= TUNING.sure:
+        return alone
+    return replace(latest, findings=(*alone.findings, *findings_of(latest.channels, gain)))
+
+
+def _same_levels(levels: Sequence[Array | None], channels: Channels) -> bool:
+    """Whether levels of noise are nearly those that recordings have."""
+    known = [getattr(channel, "level", None) for channel in channels]
+    return all(
+        (new is None and old is None)
+        or (new is not None and old is not None and np.mean(np.abs(np.log(new / old))) < _SAME_LEVEL)
+        for new, old in zip(levels, known, strict=True)
+    )  # fmt: skip
 
 
 def _beside_motion(
@@ -746,7 +796,7 @@ def _judged(
     unknowns = free.unknowns + min(0, extra) + delays + len(free.scales)
     delay, delay_stderr = _delays(fit, free)
     predicted = [(experiment.record, experiment.predicted) for experiment in experiments]
-    counts, variances = _variances(experiments, free.per_entry)
+    counts, variances = _variances(experiments, free)
     samples, known = int(counts.sum()), counts > 0
     loglik = float(-0.5 * np.sum(counts[known] * (np.log(2 * np.pi * variances[known]) + 1)))
     if free.noise or free.beside is not None:  # that of the innovations, less what a structure costs
@@ -758,7 +808,7 @@ def _judged(
     model = FittedModel(
         poles, residues, fit.feedthrough, covariance, delay, request.quantities, free.method, free.intersample
     )
-    whiteness = 1.0 if rounding else _whiteness(experiments, shown if single else (), model)
+    whiteness = 1.0 if rounding else _whiteness(experiments, shown if single else (), model, free.channels)
     if free.beside is not None:
         whiteness = ljung_box([row for errors in free.beside.errors for row in errors], TUNING.lags)
     findings = (
@@ -766,7 +816,7 @@ def _judged(
         *_rejections(tests), *_reversed(free, request), *_saturated(experiments),
     )  # fmt: skip
     if whiteness >= WHITE and not (rounding or free.interrupted):
-        findings = (*findings, *_outliers(experiments, spare))
+        findings = (*findings, *_outliers(experiments, free.channels, spare))
     blind = _what_is_blind(shown, poles, residues, request, free) if fit.point.deficiency else ""
     fitted = joint_percent(shares_left(predicted))
     evidence = _Evidence(free, tests, findings, fitted, whiteness, spare, refused, blind)
@@ -960,15 +1010,19 @@ def _experiments(
     return tuple(experiments)
 
 
-def _variances(experiments: Sequence[FittedChannels], per_entry: bool) -> tuple[Array, Array]:
+def _variances(experiments: Sequence[FittedChannels], free: FreeFit) -> tuple[Array, Array]:
     """Number of real residuals of each output or entry, and the mean square of these, in the same noise."""
     counts: Any = 0
     losses: Any = 0.0
-    for data in experiments:
+    for data, channel in zip(experiments, free.channels, strict=True):
         known = data.record.observed & ~np.isnan(data.predicted)
-        counts = counts + known.sum(axis=-1) * (1 + per_entry)
+        counts = counts + known.sum(axis=-1) * (1 + free.per_entry)
         if getattr(data.record, "errors", None) is not None:
             losses = losses + np.nansum(np.abs(data.record.in_noise(data.residuals)) ** 2, axis=-1)
+            continue
+        if (level := _level_of(channel)) is not None:
+            residuals = np.where(known, data.residuals / level, 0.0)
+            losses = losses + np.sum(residuals**2, axis=-1) / data.noise_scale**2
             continue
         for weights, _, residuals in pieces([(data.record, data.predicted)]):
             losses = losses + np.sum(weights * np.abs(residuals) ** 2, axis=-1) / data.noise_scale**2
@@ -976,11 +1030,22 @@ def _variances(experiments: Sequence[FittedChannels], per_entry: bool) -> tuple[
     return np.ravel(counts), np.maximum(np.ravel(losses), np.finfo(float).tiny * divisor) / divisor
 
 
-def _residuals(experiment: FittedChannels) -> dict[str, Signal]:
-    """Residuals by label of the output, or of the entry of a response, where they are weighted; of those measured."""
+def _level_of(channel: Any) -> Array | None:
+    """Level of the noise of a recording (p, T), None where it does not change."""
+    level: Array | None = getattr(channel, "level", None)
+    return level
+
+
+def _residuals(experiment: FittedChannels, channel: Any) -> dict[str, Signal]:
+    """Residuals by label of the output, or of the entry of a response, where they are weighted; of those measured.
+
+    Where the noise of the `channel` changes they are in units of its level.
+    """
     outputs, inputs = experiment.record.output_labels, experiment.record.input_labels
     if isinstance(experiment.record, Recording):
         seen = np.flatnonzero(experiment.record.observed.any(axis=1)).tolist()
+        if (level := _level_of(channel)) is not None:
+            return {outputs[k]: experiment.residuals[k] / level[k] for k in seen}
         return {outputs[k]: Difference(experiment.measured[k], experiment.predicted[k]) for k in seen}
     residuals = experiment.record.in_noise(experiment.residuals)
     entries = [
@@ -991,40 +1056,46 @@ def _residuals(experiment: FittedChannels) -> dict[str, Signal]:
     return {label: row for label, row in entries if not np.isnan(row).all()}
 
 
-def _rows(experiment: FittedChannels) -> list[Signal]:
+def _rows(experiment: FittedChannels, channel: Any) -> list[Signal]:
     """Real residuals of each output, or real and imaginary parts of those of each entry of a response.
 
     Of a response without its peaks: a few points at a resonance outweigh all others, and alone look white.
     """
-    residuals = list(_residuals(experiment).values())
+    residuals = list(_residuals(experiment, channel).values())
     if isinstance(experiment.record, Recording):
         return residuals
     return [without_peaks(part) for row in residuals for part in (row[:].real, row[:].imag)]
 
 
-def _whiteness(experiments: Sequence[FittedChannels], single: Sequence[Any], model: FittedModel) -> float:
+def _whiteness(
+    experiments: Sequence[FittedChannels], single: Sequence[Any], model: FittedModel, channels: Sequence[Any]
+) -> float:
     """p-value of white residuals; of `single` input and output with what was fitted, which is missing from them.
 
     Short records feel that, and are asked again if they look coloured.
     """
-    p = ljung_box([row for experiment in experiments for row in _rows(experiment)], TUNING.lags)
+    rows = [row for pair in zip(experiments, channels, strict=True) for row in _rows(*pair)]
+    p = ljung_box(rows, TUNING.lags)
     samples = sum(experiment.record.samples for experiment in single)
     if not single or p >= TUNING.surely_white or samples * len(model.covariance) > _COUNTED:
         return p
     directions = [directions_of(experiment, model) for experiment in single]
     shared, local = (
-        [part for experiment, values in zip(single, each, strict=True) for part in _in_rows(experiment.record, values)]
+        [
+            part
+            for experiment, channel, values in zip(single, channels, each, strict=True)
+            for part in _in_rows(experiment.record, channel, values)
+        ]
         for each in ([direction.shared for direction in directions], [direction.local for direction in directions])
     )
-    return ljung_box(
-        [row for experiment in experiments for row in _rows(experiment)], TUNING.lags, shared=shared, local=local
-    )
+    return ljung_box(rows, TUNING.lags, shared=shared, local=local)
 
 
-def _in_rows(record: Any, values: NDArray[Any]) -> list[Array]:
-    """Directions (T, k) of a record as they are; of a response their real and imaginary parts, weighted."""
+def _in_rows(record: Any, channel: Any, values: NDArray[Any]) -> list[Array]:
+    """Directions (T, k) of a record as its residuals are; of a response their real and imaginary parts, weighted."""
     if isinstance(record, Record):
-        return [values]
+        level = _level_of(channel)
+        return [values if level is None else values / level[0][:, None]]
     if record.errors is None:
         scaled = values * np.sqrt(record.weights)[:, None]
     else:
@@ -1045,11 +1116,12 @@ def _saturated(experiments: Sequence[FittedChannels]) -> list[Finding]:
     return [Finding(Cause.SATURATION, (float(count), *of), 0.0, name, k) for k, name, (count, of) in ends if count]
 
 
-def _outliers(experiments: Sequence[FittedChannels], spare: int) -> list[Finding]:
+def _outliers(experiments: Sequence[FittedChannels], channels: Sequence[Any], spare: int) -> list[Finding]:
     """Values that stand out of the noise of all others of their output and experiment."""
     every = [
-        (label, k, row) for k, experiment in enumerate(experiments) for label, row in _residuals(experiment).items()
-    ]
+        (label, k, row) for k, pair in enumerate(zip(experiments, channels, strict=True))
+        for label, row in _residuals(*pair).items()
+    ]  # fmt: skip
     pairs = zip(every, outliers([row for *_, row in every], spare), strict=True)
     return [Finding(Cause.OUTLIERS, tuple(map(float, far)), 0.0, label, k) for (label, k, _), far in pairs if far]
 

@@ -73,6 +73,7 @@ class WholeRecord:
     observed: Mask
     first: int
     last: int
+    level: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +101,7 @@ class FreeRecord:
     ahead: Array | None = None  # inputs one sample after `u`, where they are seen as well
     whole_record: WholeRecord | None = None  # all samples, where these are a part
     unit: float = 1.0  # what inputs and outputs were divided by
+    level: Array | None = None  # (T,) noise of each sample over that of the rows, by which these are divided
 
     @cached_property
     def complete(self) -> bool:
@@ -131,6 +133,14 @@ class FreeRecord:
         """Largest frequency that is searched."""
         return float(self.hold.frequency_of(np.array([self.largest_phase]))[0])
 
+    def residuals(self, predicted: Array) -> Array:
+        """What is left of the outputs (q, T), in units in which its noise is the same at all samples; 0 where missing.
+
+        Of `predicted` outputs in their scale.
+        """
+        left_over = np.where(self.observed, self.measured - predicted, 0.0)
+        return left_over if self.level is None else left_over / self.level
+
     @property
     def measured(self) -> Array:
         """Outputs (q, T) in their scale, 0 where missing."""
@@ -138,10 +148,23 @@ class FreeRecord:
         return y if self.complete else np.where(self.observed, y, 0.0)
 
     @classmethod
-    def by_observation(cls, u: Array, y: Array, observed: Mask, hold: Hold, **options: Any) -> list[FreeRecord]:
-        """A record with inputs (m, T) and outputs (q, T), divided into outputs observed at the same samples."""
+    def by_observation(
+        cls, u: Array, y: Array, observed: Mask, hold: Hold, level: Array | None = None, **options: Any
+    ) -> list[FreeRecord]:
+        """A record with inputs (m, T) and outputs (q, T), divided into outputs observed at the same samples.
+
+        So it is into outputs whose noise has the same level (q, T) at all samples.
+        """
         groups: dict[bytes, list[int]] = {}
         complete = bool(observed.all())
+        if level is not None:
+            for output in np.flatnonzero(observed.any(axis=1)).tolist():
+                groups.setdefault(observed[output].tobytes() + level[output].tobytes(), []).append(output)
+            records = [
+                cls(u, y[some], observed[some[0]], hold, outputs=np.array(some), level=level[some[0]], **options)
+                for some in groups.values()
+            ]  # fmt: skip
+            return [record.of_one_level() for record in records]
         for output in np.flatnonzero(observed.any(axis=1)).tolist():
             groups.setdefault(b"" if complete else observed[output].tobytes(), []).append(output)
         if len(groups) == 1 and len(y) == len(next(iter(groups.values()))):
@@ -169,7 +192,7 @@ class FreeRecord:
     @property
     def whole(self) -> bool:
         """Whether the bins of its transform have all that it tells of modes."""
-        return self.complete and self.moving and self.offset < 2
+        return self.complete and self.moving and self.offset < 2 and self.level is None
 
     def own_unknowns(self, n: int) -> int:
         """Free motion of every mode, then the drift per sample, and the constant as the last."""
@@ -185,7 +208,7 @@ class FreeRecord:
             return self
         samples = time / self.hold.h
         samples = float(np.rint(samples)) if abs(samples - np.rint(samples)) < WHOLE else samples
-        known = self.whole_record or WholeRecord(self.u, self.y, self.observed, 0, 0)
+        known = self.whole_record or WholeRecord(self.u, self.y, self.observed, 0, 0, self.level)
         ends = [samples, *(bound / self.hold.h for bound in (least, most) if bound is not None)]
         first = max(known.first, int(np.ceil(max(ends)))) * self.moving
         last = max(known.last, -int(np.floor(min(ends))))
@@ -200,12 +223,20 @@ class FreeRecord:
             self, u=u, y=known.y[:, seen], observed=known.observed[seen], delay=samples, late=late, moving=moving,
             ahead=ahead if late and self.hold.intersample == "foh" else None,
             whole_record=replace(known, first=first, last=last),
+            level=None if known.level is None else known.level[seen],
         )  # fmt: skip
 
     @property
     def delay_time(self) -> float:
         """The delay per unit time."""
         return self.delay * self.hold.h
+
+    def of_one_level(self) -> FreeRecord:
+        """The record in units of its noise, where that is the same at all samples."""
+        if self.level is None or np.ptp(self.level):
+            return self
+        size = float(self.level[0])
+        return replace(self.in_units(1.0 / size), unit=self.unit * size, level=None)
 
     def among_outputs(self, kept: Mask) -> FreeRecord:
         """The record of some of the outputs."""
@@ -222,6 +253,15 @@ class FreeRecord:
             self, u=self.u * size, y=self.y * size, ahead=None if self.ahead is None else self.ahead * size,
             whole_record=known and replace(known, u=known.u * size, y=known.y * size),
         )  # fmt: skip
+
+    def without(self, signals: Array) -> FreeRecord:
+        """The record less signals (q, T) of all samples, in the unit of its outputs before their scale."""
+        known = self.whole_record
+        if known is None:
+            return replace(self, y=self.y - signals)
+        y = known.y - signals
+        seen = slice(known.first, known.u.shape[-1] - known.last)
+        return replace(self, y=y[:, seen], whole_record=replace(known, y=y))
 
     def placed(self, values: Array) -> Array:
         """What is predicted at the samples of the record at those of the whole one, NaN where inputs are unknown."""
@@ -284,8 +324,9 @@ class FreeRecord:
         if self.whole_record is not None:
             known = self.whole_record
             whole = replace(
-                self, u=known.u, y=known.y, observed=known.observed, delay=0.0, late=0.0, ahead=None, whole_record=None
-            )
+                self, u=known.u, y=known.y, observed=known.observed, delay=0.0, late=0.0, ahead=None, whole_record=None,
+                level=known.level,
+            )  # fmt: skip
             return [rows.delayed(self.delay_time) for rows in whole.filtered(innovations)]
         records = []
         for row, output in enumerate(self.outputs.tolist()):
@@ -296,8 +337,9 @@ class FreeRecord:
             missing[: (len(b) - 1) * (self.offset > 0)] = True
             part = slice((len(b) - 1) * self.moving, None)
             record = replace(
-                self, u=u[:, part], y=y[:, part], observed=~missing[part], scale=None, outputs=self.outputs[[row]]
-            )
+                self, u=u[:, part], y=y[:, part], observed=~missing[part], scale=None, outputs=self.outputs[[row]],
+                level=None if self.level is None else self.level[part],
+            )  # fmt: skip
             records.append(record)
         return records
 
@@ -319,7 +361,7 @@ class RecordColumns(Evaluation):
 
     def __init__(self, rows: FreeRecord, kernel: Kernel, width: int) -> None:
         self._u, self._y, self._driven, self._offset = rows.u, rows.y, rows.driven, rows.offset
-        self._observed, self._complete, self._kernel = rows.observed, rows.complete, kernel
+        self._observed, self._complete, self._kernel, self._level = rows.observed, rows.complete, kernel, rows.level
         self._late, self._ahead = rows.late, rows.ahead
         self._last = None if self._ahead is None else self._ahead[:, -1]
         self._scale = np.ones(len(rows.y)) if rows.scale is None else rows.scale
@@ -370,6 +412,7 @@ class RecordColumns(Evaluation):
             yield piece
 
     def _kept(self, states: GroupStates, columns: Array) -> Array:
+        columns = columns if self._level is None else columns / self._level[states.samples]
         return columns if self._complete else columns[:, self._observed[states.samples]]
 
     def _filled(self, states: GroupStates, layout: Sequence[Column]) -> Array:
@@ -409,7 +452,8 @@ class RecordColumns(Evaluation):
     @property
     def _by_gram(self) -> bool:
         """Whether it pays to go without the columns: no gaps, no drift, and many more samples than numbers."""
-        return self._complete and self._offset < 2 and self._u.shape[1] >= max(_LONG, SHORT * self._width // 2)
+        alike = self._complete and self._offset < 2 and self._level is None
+        return alike and self._u.shape[1] >= max(_LONG, SHORT * self._width // 2)
 
     def _by_groups(self, layout: Callable[[GroupStates], Sequence[Column]]) -> Array:
         """Inner products by way of groups of samples."""

@@ -53,6 +53,7 @@ class Cause(Enum):
     FORCES = "forces that were not measured"
     CORRELATED_NOISE = "noise that outputs share"
     AMBIENT = "ambient excitation"
+    CHANGING_NOISE = "noise that changes within a recording"
     HAMMER_NOISE = "noise of a hammer's force between its contacts"
     LARGEST_ORDER = "as many modes as the search may find"
     FEWER_MODES = "fewer modes than the order that was given"
@@ -83,10 +84,11 @@ class Finding:
         the ends of the band about the peak of their spectrum, rad per unit time, the density there over its geometric
         mean, and the share of their power; of outliers their places, counted from 0; of an output that
         stays at an end of its range how many samples do, and that end or both; of the noise of a hammer's force its
-        standard deviation, and the peak of the force; of wild lines their frequencies, rad per unit time; of the
-        largest order that order; of fewer modes the order that was given, and how many reproduce the data; of forces
-        that were not measured the root mean square of what inputs do not explain over that of each output; of noise
-        that outputs share the largest correlation.
+        standard deviation, and the peak of the force; of noise that changes the first sample of each span, counted
+        from 0, and the noise there over its geometric mean, one after the other; of wild lines their frequencies, rad
+        per unit time; of the largest order that order; of fewer modes the order that was given, and how many reproduce
+        the data; of forces that were not measured the root mean square of what inputs do not explain over that of each
+        output; of noise that outputs share the largest correlation.
     gain : float
         How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers and ends of the range.
     output : str
@@ -309,6 +311,21 @@ def _of_correlated_noise(finding: Finding, terms: _Terms) -> str:
     )
 
 
+def _of_changing_noise(finding: Finding, terms: _Terms) -> str:
+    starts, sizes = finding.values[::2], finding.values[1::2]
+    quiet, ends = min(sizes), (*starts[1:], np.inf)
+    spans = [
+        f"{size / quiet:.3g} times from sample {start:.0f}{f' to {end - 1:.0f}' if np.isfinite(end) else ' on'}"
+        for start, end, size in zip(starts, ends, sizes, strict=True) if size > quiet
+    ]  # fmt: skip
+    listed = ", ".join(spans[:_LISTED]) + ", ..." * (len(spans) > _LISTED)
+    return (
+        f"The noise{f' of {finding.output!r}' * bool(finding.output)}{_experiment(finding, 'in')} changes: beside its "
+        f"lowest level it is {listed} ({_gain(finding)}). Each sample counts by the noise of its span; look for what "
+        "went on there, as a loose cable or a machine nearby."
+    )
+
+
 def _of_hammer_noise(finding: Finding, terms: _Terms) -> str:
     noise, peak = finding.values
     return (
@@ -368,6 +385,7 @@ _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
     Cause.POLARITY: _of_polarity, Cause.GAIN_NOISE: _of_gain_noise, Cause.COLOURED_RESIDUALS: _of_coloured_residuals,
     Cause.HUM: _of_hum, Cause.UNEQUAL_NOISE: _of_unequal_noise, Cause.FORCES: _of_forces,
     Cause.CORRELATED_NOISE: _of_correlated_noise, Cause.AMBIENT: _of_ambient,
+    Cause.CHANGING_NOISE: _of_changing_noise,
     Cause.HAMMER_NOISE: _of_hammer_noise, Cause.SATURATION: _of_saturation, Cause.WILD_LINES: _of_wild_lines,
     Cause.LARGEST_ORDER: _of_largest_order, Cause.FEWER_MODES: _of_fewer_modes, Cause.OUTLIERS: _of_outliers,
     Cause.INPUT_NOISE: _of_input_noise, **dict.fromkeys(REJECTED.values(), _of_rejection),

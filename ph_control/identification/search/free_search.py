@@ -269,7 +269,7 @@ class Records(FreeSearch):
                 through = projection.feedthrough[np.ix_(outputs, record.acting)]
                 residual = spectrum.unexplained(projection.p, residues, motion, through)
             else:
-                residual = np.fft.rfft(np.where(record.observed, record.measured - predicted[k], 0.0))
+                residual = np.fft.rfft(record.residuals(predicted[k]))
             if record.offset:
                 residual[:, 0] = 0.0
             residuals.append(residual)

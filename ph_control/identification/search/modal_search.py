@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -66,6 +67,7 @@ _LAGS = 4  # of different rates, with which delays are looked for
 _AGREED = 0.1  # of the criterion: less is gained where a model and its noise agree
 _NO_NOISE = 1.0  # by which the logarithm of the variance falls where what was left is no noise, of any law
 _SAME_ERRORS = 0.02  # relative change of the variances of lines
+_SHORTEST_SPAN = 32  # samples of one level of noise that are searched
 _LASTING = 0.05  # of a record: the part in which an input has to act
 
 
@@ -295,6 +297,13 @@ def free_fit(
             "real_poles": real_poles, "method": method,
         }  # fmt: skip
         return _of_long(channels, order, intersample, offset, how, max_order=max_order, start=start, delay=delay)
+    if any(isinstance(channel, Recording) and len(channel.changes) for channel in channels):
+        how = {
+            "quantities": quantities, "moving": moving, "criterion": criterion, "reports": reports,
+            "real_poles": real_poles, "method": method,
+        }  # fmt: skip
+        return _in_changing_noise(channels, order, intersample, offset, how, max_order=max_order, start=start,
+                                  delay=delay)  # fmt: skip
 
     automatic = not isinstance(order, int)
     real_poles = 0 if real_poles == "auto" and not automatic else real_poles
@@ -700,6 +709,43 @@ def _of_long(
     ).with_delay_open(fit.delay_open)
 
 
+def _in_changing_noise(
+    channels: Experiments, order: int | str, intersample: str, offset: bool | str, how: dict[str, Any], **options: Any
+) -> FreeFit:
+    """The fit to recordings whose noise changes: modes found in spans of one level, refined over all samples.
+
+    Plants at rest before the recordings, which are in motion where others of the spans begin, are looked for in the
+    noise of all of them.
+    """
+    recordings = [channel for channel in channels if isinstance(channel, Recording)]
+    spans = [
+        part for data in recordings for part in (_spans_of_one_level(data) if how["moving"] else [data.of_one_level])
+    ]  # fmt: skip
+    fit = free_fit(spans, order, intersample=intersample, offset=offset, **how, **options)
+    how["noise"] = fit.noise
+    path = FreePath.of(channels, intersample=fit.intersample, offset=fit.offset, delay=fit.delay, **how)
+    path.table = {row.order: row for row in fit.order_table}
+    model = FreeModel(fit.projection, [], path.power, path.search)
+    if fit.interrupted:
+        path.weigh(path.in_data(FreeProjection(path.scaled.data, fit.projection.p).losses))
+        return replace(path.finished(model, channels, interrupted=True), interrupted=True)
+    path.best = replace(model, losses=path.in_data(path.refined(fit.projection.p, TUNING.rough, None).losses))
+    whole = path.fit(fit.projection.p, fit.order, False, channels, either_hold=intersample == "auto")
+    return replace(whole, findings=fit.findings, delay_gain=fit.delay_gain).with_delay_open(fit.delay_open)
+
+
+def _spans_of_one_level(recording: Recording) -> list[Recording]:
+    """Recordings of the spans in which the noise of each output has one level, but for those too short to be searched.
+
+    Spans end at different samples where outputs change by themselves.
+    """
+    ends = [0, *recording.changes.tolist(), recording.samples]
+    return [
+        cut(recording, slice(first, last)) for first, last in pairwise(ends)
+        if last - first >= min(_SHORTEST_SPAN, max(np.diff(ends)))
+    ]  # fmt: skip
+
+
 # --- drifts and delays -----------------------------------------------------------------------------------------------
 
 Beside = Callable[[FreeFit], FreeFit]
@@ -1022,7 +1068,7 @@ def _records(
         u = recording.u if driven and len(acting) == len(recording.u) else recording.u[acting]
         u = u if driven else np.broadcast_to(0.0, (1, recording.samples))
         records += FreeRecord.by_observation(
-            u, recording.y, recording.observed, Hold(recording.dt, method, hold), **options
+            u, recording.y, recording.observed, Hold(recording.dt, method, hold), recording.level, **options
         )
     return records if delay is None or not delay.any() else Delays.of_outputs(delay).rows(records)
 

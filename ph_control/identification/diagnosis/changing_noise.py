@@ -1,0 +1,238 @@
+"""Noise that changes within a recording: from where to where, and how large it is in each span."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from ..._types import Array, Indices
+from ..data.channels import Recording
+from ..data.parts import is_long
+from ..regression.time_rows import FreeRecord
+from ..search.circumstances import Cause, Finding, foretold
+from ..search.modal_search import FreeFit
+from .outliers import outliers, saturation
+from .unequal_noise import experiments_of
+
+_PIECE = 16  # samples that are looked at together
+_PIECES = 600  # of a recording, at most
+_SHORTEST = 2  # pieces of a span
+_CHANGE = 3.0  # times the logarithm of the samples: what a change costs, in squares of standard errors
+_WORTH = 1.4  # ratio of levels below which nothing is gained by telling them apart
+_PAST = 30  # samples of it that noise may depend on
+_EACH = 20  # samples for each of them, at least
+_CLIPPED = 4.0  # times the level of a span: what is farther out does not count more
+_MEDIAN = 0.6745  # of the absolute value of a normal variable
+_LOG_VARIANCE = np.pi**2 / 2  # of the logarithm of its square
+
+Spans = list[tuple[int, int]]
+
+
+def changing_levels(fit: FreeFit) -> tuple[Array | None, ...] | None:
+    """Level of the noise of each recording (p, T), None where it is the same; None where that is so in all.
+
+    The logarithms of squared innovations have the same variance whatever the level, and hardly feel outliers: spans are
+    those of their means that are most likely, with a price for each change.  Outputs change together where that is
+    likelier.  Nothing is said of outputs that are saturated, and beside outliers: errors of these are no noise.
+    """
+    channels = fit.channels
+    unfit = fit.interrupted or fit.rounding or fit.per_entry or is_long(channels)
+    if unfit or not all(isinstance(channel, Recording) for channel in channels):
+        return None
+    if any(saturation(row)[0] for channel in channels for row in channel.original.y):
+        return None
+    seen, rows = list[Array](), [list[tuple[FreeRecord, Array]]() for _ in channels]
+    places = experiments_of(fit.projection.experiments, channels).tolist()
+    for record, predicted, place in zip(
+        fit.projection.experiments, fit.projection.predictions(), places, strict=True
+    ):
+        assert isinstance(record, FreeRecord)
+        level = 1.0 if record.level is None else record.level
+        residuals = record.residuals(predicted)
+        seen += [np.where(record.observed, each, np.nan) for each in residuals]
+        rows[place].append((record, level * np.stack([_innovations(each) for each in residuals])))
+    # what a few of them have done to a fit is no noise either
+    if any(outliers(seen, sum(len(each) for each in seen) - fit.unknowns)):
+        return None
+    levels = tuple(_levels(channel, each) for channel, each in zip(channels, rows, strict=True))
+    return None if all(level is None for level in levels) else levels
+
+
+def _levels(channel: Recording, rows: Sequence[tuple[FreeRecord, Array]]) -> Array | None:
+    """Level of the noise of each output (p, T) of a recording, with a geometric mean of 1; None where none changes."""
+    samples, noise = channel.samples, dict[int, Array]()
+    for record, residuals in rows:
+        first = samples - record.length if record.whole_record is None else record.whole_record.first
+        for output, residual in zip(record.outputs.tolist(), residuals, strict=True):
+            each = np.full(samples, np.nan)
+            each[first : first + record.length] = np.where(record.observed, residual, np.nan)
+            noise[output] = each
+    if not noise or min(np.count_nonzero(each == each) for each in noise.values()) < 4 * _SHORTEST * _PIECE:
+        return None
+    every = np.stack(list(noise.values()))
+    apart = [_level(each, _spans(each[None])) for each in every]
+    together = _spans(every)
+    alike = [_level(each, together) for each in every]
+    cost = sum(_cost(each, level) for each, level in zip(every, apart, strict=True))
+    # levels that change together count once
+    shared = np.exp(np.mean(np.log(alike), axis=0))
+    cost_shared = sum(_cost(each, shared) for each in every)
+    cost_shared -= (len(every) - 1) * _price(shared)
+    chosen = [shared] * len(every) if cost_shared <= cost else apart
+    if all(level.max() < _WORTH * level.min() for level in chosen):
+        return None
+    levels = np.ones((len(channel.output_labels), samples))
+    for output, each, level in zip(noise, every, chosen, strict=True):
+        if level.max() >= _WORTH * level.min():
+            levels[output] = level / np.exp(np.mean(np.log(level[each == each])))
+    return levels
+
+
+def _innovations(residual: Array) -> Array:
+    """What the past of a residual does not foretell, by the autoregression that BIC prefers.
+
+    As of so many samples as its largest values are.
+    """
+    count = 3 * np.sum(residual**2) ** 2 / max(float(np.sum(residual**4)), np.finfo(float).tiny)
+    most = max(0, min(_PAST, int(count) // _EACH))
+    products = np.fft.irfft(np.abs(np.fft.rfft(residual, 2 * len(residual))) ** 2)[: most + 1]
+    models, variances = foretold(products)
+    order = int(np.argmin(count * np.log(variances) + np.log(max(count, 2.0)) * np.arange(len(variances))))
+    past = np.concatenate([[1.0], -models[order]])
+    return np.convolve(residual, past)[: len(residual)]
+
+
+def _spans(noise: Array) -> Spans:
+    """Spans of the samples of outputs (q, T) in which their noise has one level each."""
+    known = np.flatnonzero(np.any(noise == noise, axis=0))
+    borders = [known[first] for first, _ in _spans_of_known(noise[:, known])[1:]]
+    return list(pairwise([0, *map(int, borders), noise.shape[1]]))
+
+
+def _spans_of_known(noise: Array) -> Spans:
+    """Spans of samples of which each was observed in one of the outputs (q, T), by dynamic programming."""
+    samples = noise.shape[1]
+    with np.errstate(divide="ignore"):
+        logs = np.log(noise**2)
+    # zeros are those of digits
+    logs = np.fmax(logs, np.nanmedian(logs, axis=1, keepdims=True) - 20.0)
+    logs -= np.nanmean(logs, axis=1, keepdims=True)
+    seen = np.sum(logs == logs, axis=0).astype(float)
+    sums = np.nansum(logs, axis=0)
+    edges = np.unique(np.linspace(0, samples, 1 + max(1, min(_PIECES, samples // _PIECE))).astype(int))
+    weight, total = (np.concatenate([[0.0], np.cumsum(np.add.reduceat(x, edges[:-1]))]) for x in (seen, sums))
+    # outputs of which one knows the noise of others are worth fewer
+    means = sums / np.maximum(seen, 1.0)
+    spread = float(np.mean(np.diff(means[seen > 0]) ** 2)) / 2 * float(np.mean(seen[seen > 0]))
+    variance, price = max(_LOG_VARIANCE, spread), _CHANGE * float(np.log(samples))
+    count = len(edges) - 1
+    least, start = np.full(count + 1, np.inf), np.zeros(count + 1, int)
+    least[0] = 0.0
+    for end in range(_SHORTEST, count + 1):
+        first = np.arange(end - _SHORTEST + 1)
+        inner = (total[end] - total[first]) ** 2 / np.maximum(weight[end] - weight[first], 1e-9) / variance
+        costs = least[first] - inner + price * (first > 0)
+        start[end] = int(np.argmin(costs))
+        least[end] = costs[start[end]]
+    spans, end = Spans(), count
+    while end > 0:
+        spans.append((int(edges[start[end]]), int(edges[end])))
+        end = int(start[end])
+    return _to_samples(noise, spans[::-1], int(np.max(np.diff(edges))))
+
+
+def _to_samples(noise: Array, spans: Spans, reach: int) -> Spans:
+    """Spans whose borders are where the noise of outputs (q, T) is likeliest to change."""
+    for k in range(len(spans) - 1):
+        (first, border), (_, last) = spans[k], spans[k + 1]
+        sizes = [_rms(noise[:, a:b]) for a, b in ((first, border), (border, last))]
+        low, high = max(first + reach, border - reach), min(last - reach, border + reach)
+        if high <= low:
+            continue
+        before, after = (
+            np.nansum(0.5 * np.minimum(noise[:, low:high] / size, _CLIPPED) ** 2 + np.log(size), axis=0)
+            for size in sizes
+        )
+        steps = np.concatenate([[0.0], np.cumsum(before - after)])
+        moved = low + int(np.argmin(steps))
+        spans[k], spans[k + 1] = (first, moved), (moved, last)
+    return spans
+
+
+def _rms(noise: Array) -> Array:
+    """Level of the noise of outputs (q, T), (q, 1), of which values far out count no more than others.
+
+    Of nothing but missing samples it is 1, and that of rounding where they are 0.
+    """
+    levels = np.ones((len(noise), 1))
+    for row, every in zip(levels, noise, strict=True):
+        values = np.abs(every[every == every])
+        if len(values):
+            rough = max(float(np.median(values)) / _MEDIAN, np.finfo(float).tiny)
+            row[0] = rough * np.sqrt(np.mean(np.minimum(values / rough, _CLIPPED) ** 2))
+    return np.maximum(levels, np.finfo(float).tiny)
+
+
+def _level(noise: Array, spans: Spans) -> Array:
+    """Level of the noise (T,) of an output at all samples, that of each span, with a geometric mean of 1."""
+    level = np.ones(len(noise))
+    for first, last in spans:
+        level[first:last] = float(_rms(noise[None, first:last])[0, 0])
+    return np.asarray(level / np.exp(np.mean(np.log(level[noise == noise]))))
+
+
+def _cost(noise: Array, level: Array) -> float:
+    """Twice the negative log-likelihood of noise of this level, and the price of its changes."""
+    seen = noise == noise
+    each = (noise / level)[seen]
+    size = float(_rms(each[None])[0, 0])
+    return float(np.sum(np.minimum(np.abs(each) / size, _CLIPPED) ** 2) + 2 * len(each) * np.log(size)) + _price(level)
+
+
+def _price(level: Array) -> float:
+    """What the changes of a level cost."""
+    return _CHANGE * float(np.log(len(level))) * np.count_nonzero(np.diff(level))
+
+
+# --- as findings -----------------------------------------------------------------------------------------------------
+
+
+def findings_of(channels: Sequence[Any], gain: float) -> list[Finding]:
+    """One of each recording and output whose noise changes: first sample and level of each span, one after the other.
+
+    Of outputs that change together one for all.
+    """
+    findings = []
+    for e, channel in enumerate(channels):
+        if channel.level is None:
+            continue
+        together = len(channel.level) > 1 and np.ptp(channel.level, axis=0).max() == 0
+        labels = ("",) if together else channel.output_labels
+        for label, level in zip(labels, channel.level, strict=False):
+            starts = _starts(level)
+            if len(starts) > 1:
+                values = np.stack([starts.astype(float), level[starts]], axis=1).ravel()
+                findings.append(Finding(Cause.CHANGING_NOISE, tuple(values.tolist()), gain, label, e))
+    return findings
+
+
+def _starts(level: Array) -> Indices:
+    return np.concatenate([[0], np.flatnonzero(np.diff(level)) + 1])
+
+
+def levels_of(findings: Sequence[Finding], channels: Sequence[Any]) -> list[Array | None]:
+    """Level of the noise of each recording (p, T) that findings tell; None where it does not change."""
+    levels: list[Array | None] = []
+    for e, channel in enumerate(channels):
+        level = np.ones((len(getattr(channel, "output_labels", ())), channel.samples))
+        told_of = [f for f in findings if f.cause is Cause.CHANGING_NOISE and f.experiment == e]
+        for finding in told_of:
+            starts, sizes = np.reshape(finding.values, (-1, 2)).T
+            each = sizes[np.searchsorted(starts, np.arange(channel.samples), side="right") - 1]
+            which = channel.output_labels.index(finding.output) if finding.output else slice(None)
+            level[which] = each
+        levels.append(level if told_of else None)
+    return levels
