@@ -44,14 +44,12 @@ class Simulation:
     `output` has shape (T,), or is complex of shape (K,) for a frequency response; (p, T) or (p, m, K) of several
     channels, of which there are no directions.  `directions()` are its derivatives
     by all that was estimated from these data: noise along them is missing from the residuals.  `own` tells the data
-    that the model itself was fitted to.  `simulated` is the output without what noise of the past tells of it, where
-    that is another one.
+    that the model itself was fitted to.
     """
 
     output: NDArray[Any]
     directions: Callable[[], Directions]
     own: bool = False
-    simulated: NDArray[Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -292,7 +290,7 @@ def _ahead(answer: Simulation, model: PEMResult, record: Kind, rules: Rules) -> 
     predicted = ahead_of_growth(model, u, y, data.dt, horizon, moving) if grows(model) else (
         ahead(model, simulated, y, data.dt, horizon)
     )  # fmt: skip
-    return Simulation(shaped(predicted), directions, answer.own, answer.output)
+    return Simulation(shaped(predicted), directions, answer.own)
 
 
 def _own_directions(model: PEMResult, place: int) -> Directions:
