@@ -627,8 +627,8 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
         dt : float, optional
             Time between samples, for arrays; by default that of the record that was fitted.
         horizon : int, optional
-            Predict each output from inputs up to its own sample and outputs up to so many samples before, by the
-            `noise` of the fit; None, or infinity, simulates it from inputs and motion alone.
+            Predict each output from the inputs and outputs up to so many samples before, by the `noise` of the fit;
+            None, or infinity, simulates it from inputs and motion alone.
 
         Returns
         -------

@@ -284,9 +284,9 @@ def compare(
     labels : str or sequence of str, optional
         Names of the models; by default their own.  Those that repeat are numbered.
     horizon : int, optional
-        Predict each output from inputs up to its own sample and outputs up to so many samples before, by the `noise`
-        of a `PEMResult`; None, or infinity, simulates.  Other models have no noise but a white one, for which
-        prediction and simulation are the same.
+        Predict each output from the inputs and outputs up to so many samples before, by the `noise` of a `PEMResult`;
+        None, or infinity, simulates.  Other models have no noise but a white one, for which prediction and simulation
+        are the same.
 
     Returns
     -------
