@@ -121,6 +121,8 @@ class FreeFit(Frozen):
         Whether modes of responses overlap so much that they were found all at once, by a common denominator.
     beside : FittedNoise or None
         Noise that outputs share, or that comes through the plant, with which the minimum is a joint one.
+    filters : tuple of ndarray
+        Innovations filter of the noise of each output that residuals show afterwards; none where `noise` has it all.
     """
 
     projection: FreeProjection
@@ -141,6 +143,7 @@ class FreeFit(Frozen):
     noise: tuple[Array, ...] = ()
     crowded: bool = False
     beside: Any = None
+    filters: tuple[Array, ...] = ()
 
     @property
     def per_entry(self) -> bool:

@@ -29,6 +29,7 @@ from ..data.frequency_record import FrequencyRecord, InFrequency
 from ..data.time_record import InTime, Record
 from ..diagnosis.fitted_directions import Directions, directions_of, same_data
 from ..fit.pem_result import PEMResult
+from ..fit.prediction_ahead import ahead, ahead_of_growth, grows, is_simulated
 from ..regression.windowed import response_through
 
 Kind = Record | FrequencyRecord | Recording | ResponseMatrix
@@ -67,12 +68,16 @@ class Motions:
 
 @dataclass(frozen=True)
 class Rules:
-    """How models meet a record: hold, initial state, and whether a constant is added where a model has none."""
+    """How models meet a record: hold, initial state, and whether a constant is added where a model has none.
+
+    Outputs are predicted a `horizon` of steps ahead by models with a noise, and simulated without one.
+    """
 
     method: str
     intersample: str
     initial_state: str
     offset: bool
+    horizon: int | None = None
 
     def __post_init__(self) -> None:
         _checks.choice("method", self.method, METHODS)
@@ -105,7 +110,7 @@ def answers_to(
 def _answer_to(model: Any, label: str, record: Kind, rules: Rules) -> Simulation:
     """What a `PEMResult`, a system of this package, or a linear system of python-control says of an experiment."""
     if isinstance(model, PEMResult):
-        return _answer_of_fit(model, label, record, rules)
+        return _ahead(_answer_of_fit(model, label, record, rules), model, record, rules)
     if isinstance(record, FrequencyRecord | ResponseMatrix):
         return Simulation(_response(model, label, record), lambda: _no_directions(record))
     _refuse_fitted(model, label, rules)
@@ -252,6 +257,42 @@ def _answer_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules) -> 
     return Simulation(
         answer, lambda: _no_directions(record) if place is None else _own_directions(model, place), place is not None
     )
+
+
+def _ahead(answer: Simulation, model: PEMResult, record: Kind, rules: Rules) -> Simulation:
+    """What a fit foretells some steps ahead, and in which directions it was fitted; of a response its simulation."""
+    horizon = rules.horizon
+    if horizon is None or isinstance(record, FrequencyRecord | ResponseMatrix) or is_simulated(model):
+        return answer
+    data: Any = several(record)
+    outputs, inputs = _matching(model, "model", data)
+    u = np.zeros((len(inputs), data.samples))
+    u[inputs] = data.u if len(data.u) else 0.0
+    y, simulated = np.empty_like(data.y), np.empty_like(data.y)
+    y[outputs], simulated[outputs] = data.y, np.reshape(answer.output, data.y.shape)
+
+    def shaped(values: Array) -> Array:
+        return values[outputs][0] if isinstance(record, Record) else values[outputs]
+
+    def directions() -> Directions:
+        """Derivatives of the prediction `simulated + F (y - simulated)` with a linear filter F, and by this filter."""
+        if grows(model):
+            return _no_directions(record)
+        each, nothing = answer.directions(), np.where(np.isnan(y), np.nan, 0.0)
+        shared, local = (
+            np.array([ahead(model, column[None], nothing, data.dt, horizon)[0] for column in columns.T])
+            .reshape(columns.T.shape).T
+            for columns in (each.shared, each.local)
+        )  # fmt: skip
+        rest, order = np.nan_to_num((y - simulated)[0]), max(model.noise.orders) if model.noise else 0
+        past = np.array([np.pad(rest, (k, 0))[: len(rest)] for k in range(1, 1 + order * answer.own)])
+        return Directions(np.concatenate([shared, past.reshape(-1, len(rest)).T], axis=1), local)
+
+    moving = rules.initial_state != "zero" or not data.driven
+    predicted = ahead_of_growth(model, u, y, data.dt, horizon, moving) if grows(model) else (
+        ahead(model, simulated, y, data.dt, horizon)
+    )  # fmt: skip
+    return Simulation(shaped(predicted), directions, answer.own)
 
 
 def _own_directions(model: PEMResult, place: int) -> Directions:
