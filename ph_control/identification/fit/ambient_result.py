@@ -12,6 +12,7 @@ from ..._types import Array, ComplexArray
 from ..data.channels import Recording, single
 from ..diagnosis.verdict import CUT_SHORT, WHITE, Outcome
 from ..innovations.ambient import AmbientFit, AmbientOrder, shapes_of
+from ..innovations.forces import FittedNoise
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.prediction import FittedExperiment, joint_percent, shares_left
 from ..regression.tuning import TUNING
@@ -98,6 +99,7 @@ def ambient_result(
         intersample="zoh",
         delay=np.zeros(p),
         delay_stderr=np.zeros(p),
+        noise=FittedNoise.of(evaluation, fit.scales).model(step),
     )  # fmt: skip
 
 

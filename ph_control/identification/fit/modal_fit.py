@@ -858,7 +858,9 @@ def _judged(
         delay_stderr=delay_stderr,
         method=free.method,
         blind=bool(blind),
-        noise=fitted_noise(experiments, noise_variance, filters, spare / samples),
+        noise=fitted_noise(experiments, noise_variance, filters, spare / samples)
+        if free.beside is None
+        else free.beside.model(free.channels[0].dt),
     )  # fmt: skip
 
 

@@ -96,8 +96,9 @@ class Foretelling:
             After a fit to frequency responses; or where outputs have a colour, or different delays, and the plant is
             moved by forces or grows: the filter has more states then, all of which are in `predictor`.
         """
-        noise = self._noise_in_time
         A, _, C, _ = self._matrices
+        noise = self._noise_in_time
+        noise = noise.in_states_of(self._step(noise.dt), C)
         gain = continuous_gain(A, C, noise)
         if gain.any() and (noise.colours is not None or np.ptp(self.delay)):
             why = "outputs have a colour" if noise.colours is not None else "outputs have different delays"

@@ -39,7 +39,7 @@ _MAY_LACK = {
     "drift", "output", "experiment", "findings", "tests", "time_unit", "title", "method", "blind",
     "initial_stderr", "offset_stderr", "noise_scale", "delay", "delay_stderr", "background",
     "window", "errors",
-    "noise", "colours", "forces", "cross", "states",
+    "noise", "colours", "forces", "cross", "states", "apart",
 }  # fmt: skip
 _MAY_BE_NAN = {
     "covariance", "offset_stderr", "initial_stderr", "y", "response", "shape_stderr", "delay_stderr",
@@ -237,7 +237,12 @@ def _to_dict(result: PEMResult, *apart: str) -> dict[str, Any]:
 
 def _noise_to_dict(noise: NoiseModel | None) -> dict[str, Any]:
     """The noise without the matrices of the plant, which a result enters again."""
-    return {} if noise is None else {"noise": _written(noise, "states")}
+    if noise is None:
+        return {}
+    written = _written(noise, "states")
+    if noise.apart and noise.states is not None:
+        written |= {"step": noise.states[0], "seen": noise.states[1]}
+    return {"noise": written}
 
 
 def _noise(fields: Fields, outputs: int) -> NoiseModel | None:
@@ -248,7 +253,11 @@ def _noise(fields: Fields, outputs: int) -> NoiseModel | None:
     shapes: Shapes = {
         "covariance": (outputs, outputs), "colours": (outputs, None), "forces": (None, None), "cross": (None, outputs),
     }  # fmt: skip
-    return _read(NoiseModel, inner, shapes, states=None)
+    states = None
+    if "step" in inner:
+        step = inner.array("step", (None, None))
+        states = step, inner.array("seen", (outputs, len(step)))
+    return _read(NoiseModel, inner, shapes, states=states)
 
 
 def _modal_from_dict(fields: Fields, records: Sequence[Any] = ()) -> Any:

@@ -17,6 +17,7 @@ from ..regression.time_rows import FreeRecord
 from ..search.circumstances import Cause, Finding
 from ..search.criteria import Criteria
 from ..search.modal_search import FreeFit
+from ..uncertainty.noise_model import NoiseModel
 from .joint import JointProjection, Quadratic
 from .minimum import Evaluation, Experiment, Minimum, Point, Problem, minimise
 from .noise_sections import NoiseSections
@@ -67,6 +68,15 @@ class FittedNoise:
         )
         unknowns = p * (p - 1) // 2 + (noise.unknowns if coloured else 0)
         return cls(sections, evaluation.covariance * np.outer(scales, scales), unknowns, errors)
+
+    def model(self, step: float) -> NoiseModel:
+        """The noise at samples of a step."""
+        A, C, K, covariance = self.sections.A, self.sections.C, self.sections.K, self.covariance
+        if not self.is_coloured:
+            return NoiseModel(covariance, step)
+        return NoiseModel(
+            covariance, step, forces=K @ covariance @ K.T, cross=K @ covariance, states=(A, C), apart=True
+        )
 
     @property
     def is_coloured(self) -> bool:

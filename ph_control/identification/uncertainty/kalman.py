@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import control as ct
 import numpy as np
+from scipy.linalg import expm, logm
 from scipy.signal import lfilter
 
 from ..._types import Array, Mask
@@ -48,18 +49,20 @@ class NoisyPlant:
         """Sample a plant in continuous time and join its noise; delays are those of the inputs."""
         plant = sampled_plant(*system, hold, delay)
         (p, m), n, orders = plant.D.shape, plant.order, noise.orders
-        apart = noise.forces is not None and plant.plants > 1  # forces act on all outputs at once
-        sizes = len(plant.A), n * apart, sum(orders)
+        own = noise.states if noise.apart else None
+        apart = own is not None or (noise.forces is not None and plant.plants > 1)  # forces act on all outputs at once
+        step, seen = (plant.A[:n, :n], system[2]) if own is None else own
+        sizes = len(plant.A), len(step) * apart, sum(orders)
         first, second = sizes[0], sizes[0] + sizes[1]
         count = sum(sizes)
         A, B, C, E = np.zeros((count, count)), np.zeros((count, m)), np.zeros((p, count)), np.zeros((count, p))
         A[:first, :first], B[:first], C[:, :first] = plant.A, plant.B, plant.C
-        step, by_forces = plant.A[:n, :n], slice(first, second) if apart else slice(0, n)
+        by_forces = slice(first, second) if apart else slice(0, n)
         A[by_forces, by_forces] = step
         if apart:
-            C[:, by_forces] = system[2]
+            C[:, by_forces] = seen
         moving = np.zeros(count, bool)
-        moving[: n * plant.plants] = np.tile(growing(step), plant.plants)
+        moving[: n * plant.plants] = np.tile(growing(plant.A[:n, :n]), plant.plants)
         if apart and moving.any():
             raise StructureError(
                 "forces, outputs with different delays, and a pole that grows have no predictor of this form: give "
@@ -189,8 +192,13 @@ def continuous_gain(A: Array, C: Array, noise: NoiseModel) -> Array:
     """Gain `L` of the filter `x' = A x + B u + L (y - C x - D u)` in continuous time; 0 of what nothing moves."""
     n, p = len(A), len(C)
     gain, h = np.zeros((n, p)), noise.dt
+    if noise.cross is not None and noise.forces is not None:
+        step = expm(A * h)
+        discrete, _ = steady_gain(step, C, noise.forces, noise.covariance, noise.cross)
+        # the gain whose error dies away from sample to sample as that of the discrete filter
+        closed = logm(step - discrete @ C)
+        return np.asarray(np.linalg.lstsq(C.T, (A - np.real(closed) / h).T, rcond=None)[0].T)
     Q = np.zeros((n, n)) if noise.forces is None else intensity_of(A, noise.forces, h)
-    S = np.zeros((n, p)) if noise.cross is None else noise.cross
     rates = np.array([np.linalg.eigvals(A[np.ix_(part, part)]).real.max() for part in _parts(A)])
     which = (rates * h > _UNSTABLE) | _of_parts(A, np.diag(Q) > 0)
     if not which.any():
@@ -199,12 +207,12 @@ def continuous_gain(A: Array, C: Array, noise: NoiseModel) -> Array:
     part = np.ix_(which, which)
     R = floored(noise.covariance * h / np.outer(outputs, outputs))
     A, Q = A[part] / states[:, None] * states, Q[part] / np.outer(states, states)
-    C, S = C[:, which] * states / outputs[:, None], S[which] / states[:, None] / outputs
+    C = C[:, which] * states / outputs[:, None]
     try:
         P = np.asarray(ct.care(A.T, C.T, Q, R, S)[0])
     except _FAILED as error:
         raise _unsolved(error) from None
-    gain[which] = np.linalg.solve(R, (P @ C.T + S).T).T * states[:, None] / outputs
+    gain[which] = np.linalg.solve(R, (P @ C.T).T).T * states[:, None] / outputs
     return gain
 
 

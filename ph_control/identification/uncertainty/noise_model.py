@@ -15,6 +15,8 @@ from ..._types import Array, ArrayLike, ComplexArray
 from ...exceptions import StructureError
 
 _ROUNDING = 1e-10  # of the largest eigenvalue: by how much a covariance may be indefinite
+_SAME_STATES = 1e-6  # relative error of states that are those of another system
+_TINY = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,6 +43,9 @@ class NoiseModel(Frozen):
         Covariance of that with `e`, as of forces that accelerometers feel at once; None for 0.
     states : pair of ndarray, optional
         `A` (n, n) and `C` (p, n) of the states that the forces drive; a `PEMResult` enters its own.
+    apart : bool
+        Whether these states are beside those of the plant, with the same poles: what outputs see of a motion by forces
+        is then estimated by itself, and the matrices above are those of `states`.
 
     Raises
     ------
@@ -67,6 +72,7 @@ class NoiseModel(Frozen):
     forces: Array | None = None
     cross: Array | None = None
     states: tuple[Array, Array] | None = None
+    apart: bool = False
 
     def __post_init__(self) -> None:
         covariance = _covariance("covariance", self.covariance)
@@ -160,12 +166,27 @@ class NoiseModel(Frozen):
 
     def of_plant(self, A: Array, C: Array) -> NoiseModel:
         """The noise with the discrete states (n, n), and outputs of these (p, n), that forces drive."""
+        if self.apart and self.states is not None:
+            tied, error = turned(*self.states, A, C)
+            return self if error > _SAME_STATES else self._turned(tied, A, C)
         if self.forces is not None and len(self.forces) != len(A):
             raise StructureError(
                 f"the noise has forces on {counted(len(self.forces), 'state')}; the plant has {len(A)}: give them in "
                 "the states of observed_system"
             )
         return self if self.forces is None else replace(self, states=(A, C))
+
+    def _turned(self, T: Array, A: Array, C: Array) -> NoiseModel:
+        """The noise in the states of a plant, which are `T` times its own."""
+        assert self.forces is not None
+        cross = None if self.cross is None else T @ self.cross
+        return replace(self, forces=T @ self.forces @ T.T, cross=cross, states=(A, C), apart=False)
+
+    def in_states_of(self, A: Array, C: Array) -> NoiseModel:
+        """The noise with forces that act on the states of a plant, by least squares where its own are apart."""
+        if not self.apart or self.states is None:
+            return self
+        return self._turned(turned(*self.states, A, C)[0], A, C)
 
     def spectrum(self, omega: ArrayLike) -> ComplexArray:
         """Spectral density of the noise of the outputs, forces through the plant included.
@@ -247,6 +268,24 @@ class NoiseModel(Frozen):
     def __repr__(self) -> str:
         """The same in brackets."""
         return f"<{type(self).__name__}: {self}>"
+
+
+def turned(A: Array, C: Array, of: Array, seen: Array) -> tuple[Array, float]:
+    """States of a system with step `of` and outputs `seen` that move as those of one with step A and outputs C.
+
+    Returns T with `of T = T A` and `seen T` next to C, and the relative error of this.  Poles are paired, each with the
+    nearest; a pole without another of the same place leaves no state.
+    """
+    own, V = np.linalg.eig(A)
+    other, W = np.linalg.eig(of)
+    first, second = C @ V, seen @ W
+    D = np.zeros((len(of), len(A)), complex)
+    for k, value in enumerate(own):
+        near = int(np.argmin(np.abs(other - value))) if len(other) else -1
+        if near >= 0 and np.abs(other[near] - value) <= _SAME_STATES * (1 + np.abs(value)):
+            D[near, k] = np.vdot(second[:, near], first[:, k]) / max(np.vdot(second[:, near], second[:, near]).real, _TINY)
+    T = np.asarray((W @ D @ np.linalg.inv(V)).real)
+    return T, float(np.linalg.norm(seen @ T - C) / max(np.linalg.norm(C), _TINY))
 
 
 def sampled_intensity(A: Array, intensity: Array, h: float) -> Array:
