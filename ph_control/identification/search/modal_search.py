@@ -217,7 +217,7 @@ def free_fit(
     delay: Array | None = None,
     method: str = "exact",
     doubted: bool = True,
-    beside: Callable[..., FreeFit] = lambda fit, orders: fit,
+    beside: Callable[..., FreeFit] = lambda fit, most: fit,
 ) -> FreeFit:
     """Fit modes of any damping and residues to all channels, from nothing or from some poles.
 
@@ -262,8 +262,8 @@ def free_fit(
         Whether lines of a response that are far larger than those about them may be left out, where the BIC prefers
         values of their own to modes that explain them.
     beside : callable, optional
-        Called with the first fit and whether the number of modes is open, to give that in noise of another kind;
-        drifts and delays, which such noise may look like, are then not looked for.
+        Called with the first fit and the largest number of modes, 0 where it is not open, to give the fit in noise of
+        another kind; drifts and delays, which such noise may look like, are then not looked for.
 
     Returns
     -------
@@ -313,7 +313,7 @@ def free_fit(
         fit = _from_peaks(fit, path, search)
     if automatic and real_poles in ("auto", 0) and not fit.interrupted:
         fit = _of_few_lines(fit, path.of_few_lines(), min(max_order, path.carried))
-    fit = fit if fit.interrupted else beside(fit, orders=automatic)
+    fit = fit if fit.interrupted else beside(fit, most=min(max_order, path.carried) if automatic else 0)
     if fit.beside is not None:
         return fit
     return _beside_all_else(fit.with_delay_open(delay is None), search, weighted, offset == "auto")
