@@ -20,6 +20,7 @@ from ..search.modal_search import FreeFit
 from ..uncertainty.noise_model import NoiseModel
 from .joint import JointProjection, Quadratic
 from .minimum import Evaluation, Experiment, Minimum, Point, Problem, minimise
+from .missing_mode import missing_mode
 from .noise_sections import NoiseSections
 
 Start = tuple[Problem, Point]  # the data, and a model without forces
@@ -32,7 +33,8 @@ _NUMBERS = 1 << 28  # and those of a Jacobian: a few seconds a step
 _SPARE = 4  # samples of all outputs for each unknown
 _LEAST_DECAY = 0.05  # bins: noise through a pole that decays more slowly never settles
 _STEPS = 40
-_PATIENCE = 1  # orders without a better criterion
+_ROUGH, _FEW = 1.0, 12  # tolerance and steps of a minimisation on the way
+_PROMISING = 0.5  # of what the BIC charges for a mode: what its window has to gain
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,7 @@ class FittedNoise:
 
 
 def beside_forces(
-    free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = False, orders: bool = False
+    free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = False, most: int = 0
 ) -> FreeFit:
     """The fit in noise that outputs share, or that comes through the plant, where white noise is far less likely.
 
@@ -103,8 +105,8 @@ def beside_forces(
         What is looked for.
     certain : bool
         Whether the last of the `kinds` is taken as given, and not tested.
-    orders : bool
-        Whether the number of modes is open.
+    most : int
+        Largest number of modes; 0 where it is not open.
 
     Returns
     -------
@@ -113,7 +115,7 @@ def beside_forces(
         not allow the likelihood: responses, missing samples, poles that do not decay, more unknowns than 600.
     """
     try:
-        fitted = _beside_forces(free, kinds, certain, orders)
+        fitted = _beside_forces(free, kinds, certain, most)
     except KeyboardInterrupt:
         return replace(free, interrupted=True)
     if fitted is free:
@@ -121,7 +123,7 @@ def beside_forces(
     return fitted.with_rival(lambda rival: _beside_forces(rival, KINDS[-1:] if fitted.beside.is_coloured else KINDS[:1], True))
 
 
-def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: bool = False) -> FreeFit:
+def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, most: int = 0) -> FreeFit:
     rows = _rows(free)
     start = None if rows is None else _start(free, rows, free.projection.p)
     if start is None or rows is None:
@@ -135,7 +137,7 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: b
             if certain or _is_likelier(alone, shared.evaluation.cost, outputs * (outputs - 1) // 2):
                 best = shared
     if "forces" in kinds and (certain or _score(*start) < _SCREEN):
-        forced = _forced(free, rows, start, orders)
+        forced = _forced(free, rows, start, most)
         if certain or _shows_forces(free, rows, forced, best):
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
@@ -143,28 +145,33 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: b
     return _in_noise(free, best, alone, certain)
 
 
-def _forced(free: FreeFit, rows: Sequence[FreeRecord], start: Start, orders: bool) -> Minimum:
-    """The minimum beside forces, with the modes that the BIC prefers among those on the way of the search.
+def _forced(free: FreeFit, rows: Sequence[FreeRecord], start: Start, most: int) -> Minimum:
+    """The minimum beside forces: with the same modes, or with those that the BIC prefers, at `most` so many.
 
-    Modes more may stand for what forces do: fewer come first.
+    In white noise modes more than there are stand for what forces do: so the search begins with the strongest alone.
     """
-    lags, way = free.projection.p[free.projection.p.imag == 0], list[ComplexArray]()
-    if orders:
-        table = sorted(free.order_table, key=lambda row: row.order)
-        way = [np.concatenate([row.poles, lags]) for row in table if 0 < row.order < free.order]
-    best: Minimum | None = None
-    worse = 0
-    for p in [*way, free.projection.p]:
-        begin = start if p is free.projection.p else _start(free, rows, p)
-        if begin is None:
-            continue
-        trial = minimise(*begin, steps=_STEPS)
-        worse = 0 if best is None or _bic(trial) < _bic(best) else worse + 1
-        best = trial if best is None else min(best, trial, key=_bic)
-        if worse > _PATIENCE:
+    table = sorted((row for row in free.order_table if row.order > 0), key=lambda row: row.order)
+    if not most or not table:
+        return minimise(*start, steps=_STEPS)
+    lags = free.projection.p[free.projection.p.imag == 0]
+    begin = _start(free, rows, np.concatenate([table[0].poles, lags])) or start
+    best = minimise(*begin, _ROUGH, _FEW)
+    while best.evaluation.point.noise.pairs < most:
+        pole = missing_mode(best.evaluation, _PROMISING * _charge(best))
+        wider = None if pole is None else minimise(*_with_mode(best, pole), _ROUGH, _FEW)
+        if wider is None or _bic(wider) >= _bic(best):
             break
-    assert best is not None
-    return _of_fewer_modes(best) if orders else best
+        best = wider
+    return _of_fewer_modes(minimise(best.evaluation.problem, best.evaluation.point, steps=_STEPS))
+
+
+def _charge(best: Minimum) -> float:
+    """What the BIC charges for a mode: its poles, residues, free motions, and what noise through it is."""
+    evaluation = best.evaluation
+    problem, p = evaluation.problem, evaluation.p
+    moving = sum(part.moving for experiment in problem.experiments[:1] for part in experiment.rows[:1])
+    each = 2 + 2 * p * problem.inputs + 2 * p * len(problem.experiments) * moving + 4 * p - 2
+    return each * float(np.log(problem.samples * p))
 
 
 def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, shared: Minimum | None) -> bool:
@@ -223,20 +230,42 @@ def _doubtful(best: Minimum) -> list[int]:
 
 def _without(best: Minimum, section: int) -> Minimum:
     """The minimum without a section."""
-    evaluation = best.evaluation
-    point, problem = evaluation.point, evaluation.problem
-    k = len(point.noise.sections.decay)
-    kept = np.delete(np.arange(len(point.noise.sections.x)), [section, k + section])
-    sections = Sections.from_coordinates(point.noise.sections.x[kept])
-    states = np.delete(np.arange(point.noise.states), [2 * section, 2 * section + 1])
-    noise = replace(
-        point.noise, sections=sections, references=np.delete(point.noise.references, section),
-        C=point.noise.C[:, states], K=point.noise.K[states],
+    noise = best.evaluation.point.noise
+    k = len(noise.sections.decay)
+    kept = np.delete(np.arange(len(noise.sections.x)), [section, k + section])
+    states = np.delete(np.arange(noise.states), [2 * section, 2 * section + 1])
+    fewer = replace(
+        noise, sections=Sections.from_coordinates(noise.sections.x[kept]), C=noise.C[:, states], K=noise.K[states],
+        references=np.delete(noise.references, section),
     )  # fmt: skip
+    return minimise(*_on_sections(best, fewer), steps=_STEPS)
+
+
+def _with_mode(best: Minimum, pole: complex) -> Start:
+    """The data and a model with one mode more, which noise does not come through as yet."""
+    noise = best.evaluation.point.noise
+    k, sections = noise.pairs, noise.sections
+    wider = Sections.from_coordinates(
+        np.concatenate([sections.decay, [-pole.real], sections.square, [pole.imag**2], sections.rates])
+    )
+    problem, point = _on_sections(best, replace(noise, sections=wider))
     rows = [part for experiment in problem.experiments for part in experiment.rows]
-    start = FreeProjection(rows, sections.p, problem.fed, sections)
-    fewer = Problem(problem.experiments, start.shown, problem.coloured, problem.fed)
-    return minimise(fewer, Point(noise, start.shared, tuple(start.own)), steps=_STEPS)
+    start = initial_noise(FreeProjection(rows, wider.p, problem.fed, wider), noise.step)
+    known = np.delete(np.arange(start.states), [2 * k, 2 * k + 1])
+    C, K = start.C.copy(), start.K.copy()
+    C[:, known], K[known] = noise.C, noise.K
+    return problem, replace(point, noise=replace(start, C=C, K=K, references=np.append(noise.references, pole.imag)))
+
+
+def _on_sections(best: Minimum, noise: NoiseSections) -> Start:
+    """The data and a model on other sections, all that is driven as in white noise."""
+    problem = best.evaluation.problem
+    rows = [part for experiment in problem.experiments for part in experiment.rows]
+    start = FreeProjection(rows, noise.sections.p, problem.fed, noise.sections)
+    return (
+        Problem(problem.experiments, start.shown, problem.coloured, problem.fed),
+        Point(noise, start.shared, tuple(start.own)),
+    )
 
 
 def replace_colour(problem: Problem, coloured: bool) -> Problem:

@@ -231,7 +231,7 @@ def free_fit(
     delay: Array | None = None,
     method: str = "exact",
     doubted: bool = True,
-    beside: Callable[..., FreeFit] = lambda fit, orders: fit,
+    beside: Callable[..., FreeFit] = lambda fit, most: fit,
     white: bool = False,
 ) -> FreeFit:
     """Fit modes of any damping and residues to all channels, from nothing or from some poles.
@@ -277,8 +277,8 @@ def free_fit(
         Whether lines of a response that are far larger than those about them may be left out, where the BIC prefers
         values of their own to modes that explain them.
     beside : callable, optional
-        Called with a fit and whether the number of modes is open, to give that in noise of another kind; delays,
-        which such noise may look like, are then not looked for.
+        Called with a fit and the largest number of modes, 0 where it is not open, to give the fit in noise of another
+        kind; delays, which such noise may look like, are then not looked for.
     white : bool
         Whether the noise of each output is taken as white.
 
@@ -342,7 +342,8 @@ def free_fit(
         fit = _of_few_lines(fit, path.of_few_lines(), min(max_order, path.carried))
     # what modes that are missing leave says nothing of the noise
     short = automatic and fit.order >= most
-    noise: Beside = (lambda fit: fit) if short else partial(beside, orders=automatic)
+    most = min(max_order, path.carried) if automatic else 0
+    noise: Beside = (lambda fit: fit) if short else partial(beside, most=most)
     return _beside_all_else(fit.with_delay_open(delay is None), search, weighted, offset == "auto", noise)
 
 
