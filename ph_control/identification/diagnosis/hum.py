@@ -108,8 +108,18 @@ def tones_in(fit: FreeFit, frequencies: Array) -> Tones:
         alone = (motion @ np.exp(np.outer(p[tones], channel.dt * np.arange(float(channel.samples))))).real
         rest = channel.y[outputs] - fit.scales[outputs, None] * (record.placed(predicted) - alone)
         remainders[place][outputs] = channel.unit * rest + np.broadcast_to(channel.hum, channel.y.shape)[outputs]
-    times = [channel.dt * np.arange(channel.samples) for channel in channels]
     weights = [1.0 / (channel.unit * fit.scales) for channel in channels]
+    return tones_near(frequencies, remainders, weights, channels)
+
+
+def tones_near(
+    frequencies: Array, remainders: Sequence[Array], weights: Sequence[Array], channels: Sequence[Any]
+) -> Tones:
+    """Tones near to some frequencies by least squares in outputs (p, T), NaN where missing, of each experiment.
+
+    `weights` (p,) are those of the outputs of each experiment, in proportion to one over the deviation of their noise.
+    """
+    times = [channel.dt * np.arange(channel.samples) for channel in channels]
     seen = [np.isfinite(rest) for rest in remainders]
     remainders = [np.where(known, rest, 0.0) for known, rest in zip(seen, remainders, strict=True)]
 
