@@ -175,6 +175,18 @@ def tones_in(fit: FreeFit, frequencies: Array) -> Tones:
     return tones
 
 
+def tones_near(
+    frequencies: Array, remainders: Sequence[Array], weights: Sequence[Array], channels: Sequence[Any]
+) -> Tones:
+    """Tones near to some frequencies by least squares in outputs (p, T), NaN where missing, of each experiment.
+
+    `weights` (p,) are those of the outputs of each experiment, in proportion to one over the deviation of their noise.
+    """
+    best = np.array(frequencies, float)
+    tones = Tones(best, tuple(np.zeros((len(best), 2, channel.y.shape[0])) for channel in channels))
+    return _fitted(tones, remainders, channels, weights)
+
+
 def _fitted(tones: Tones, remainders: Sequence[Array], channels: Sequence[Any], weights: Sequence[Array]) -> Tones:
     """Tones in what modes leave of recordings, one after the other, from where they are."""
     times = [channel.dt * np.arange(channel.samples) for channel in channels]

@@ -10,13 +10,14 @@ import numpy as np
 from ..._display import p_value
 from ..._types import Array, ComplexArray
 from ..data.channels import Recording, single
-from ..diagnosis.verdict import CUT_SHORT, WHITE, Outcome
+from ..diagnosis.verdict import CUT_SHORT, WHITE, HypothesisTest, Outcome
 from ..innovations.ambient import AmbientFit, AmbientOrder, shapes_of
 from ..innovations.forces import FittedNoise
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.prediction import FittedExperiment, joint_percent, shares_left
 from ..regression.tuning import TUNING
 from ..search.circumstances import Cause, Finding, sentence_of
+from ..structure.hypothesis_tests import LEVEL
 from ..uncertainty.residual_tests import ljung_box
 from .pem_result import PEMResult
 from .result import OrderRow
@@ -25,7 +26,7 @@ from .scaled_shapes import ModeShapes, shape_errors
 
 def ambient_result(
     channels: Sequence[Recording], fit: AmbientFit, quantities: tuple[str, ...], gain: float, most: int | None,
-    interrupted: bool = False,
+    beside: Sequence[Finding] = (), tests: Sequence[HypothesisTest] = (),
 ) -> PEMResult:  # fmt: skip
     """Modes with their errors, prediction errors and a judgement.
 
@@ -41,12 +42,15 @@ def ambient_result(
         Log-likelihood by which this explains more than free decays; 0 if that was not asked.
     most : int or None
         Largest number of modes of the search; None where the order was given.
-    interrupted : bool
-        Whether the search was cut short.
+    beside : sequence of Finding
+        What the data show beside the modes.
+    tests : sequence of HypothesisTest
+        Of structures.
     """
+    interrupted = fit.minimum.interrupted
     step, p = channels[0].dt, len(fit.scales)
     evaluation, noise = fit.evaluation, fit.evaluation.point.noise
-    unknowns = fit.evaluation.unknowns + fit.means.size
+    unknowns = fit.unknowns
     spare = max(1, fit.samples - unknowns)
     every = evaluation.information_inverse() * (fit.samples / spare)
     poles = noise.sections.p / step
@@ -58,7 +62,7 @@ def ambient_result(
     modes = int(np.sum(poles.imag > 0))
     shapes, errors = _shapes(fit, every, J, poles, quantities)
     experiments, whiteness = _experiments(channels, fit, len(poles))
-    findings = [Finding(Cause.AMBIENT, (), gain)]
+    findings = [Finding(Cause.AMBIENT, (), gain), *beside]
     if most is not None and modes >= most:
         findings.append(Finding(Cause.LARGEST_ORDER, (float(modes),), 0.0))
     outcome = Outcome.INTERRUPTED if interrupted else Outcome.CONSISTENT if whiteness >= WHITE else Outcome.COLOURED
@@ -70,7 +74,7 @@ def ambient_result(
     covariance = J @ every[:size, :size] @ J.T
     table = {model.order: model for model in sorted(fit.orders, key=lambda model: -model.bic)}
     return PEMResult(
-        structure="free",
+        structure="classical" if evaluation.problem.real_shapes else "free",
         poles=poles,
         residues=np.zeros((len(poles), p, 0), complex),
         feedthrough=np.zeros((p, 0)),
@@ -91,11 +95,11 @@ def ambient_result(
         unknowns=unknowns,
         whiteness=whiteness,
         order_table=tuple(_row(table[order], fit, step) for order in sorted(table)),
-        tests=(),
+        tests=tuple(tests),
         findings=tuple(findings),
         success=fit.minimum.converged and not interrupted,
         outcome=outcome,
-        message=_message(findings, outcome, whiteness, channels[0], p),
+        message=_message(findings, tests, outcome, whiteness, channels[0], p),
         intersample="zoh",
         delay=np.zeros(p),
         delay_stderr=np.zeros(p),
@@ -115,13 +119,16 @@ def _row(model: AmbientOrder, fit: AmbientFit, step: float) -> OrderRow:
 
 
 def _message(
-    findings: Sequence[Finding], outcome: Outcome, whiteness: float, channel: Recording, outputs: int
+    findings: Sequence[Finding], tests: Sequence[HypothesisTest], outcome: Outcome, whiteness: float,
+    channel: Recording, outputs: int,
 ) -> str:  # fmt: skip
     """What the judgement rests on, in sentences."""
     if outcome is Outcome.NOTHING:
         return "Nothing to model: no mode improves the BIC."
     parts = [CUT_SHORT] * (outcome is Outcome.INTERRUPTED)
     parts += [sentence_of(finding, "zoh", channel.time_unit) for finding in findings]
+    kept = [f"{test.hypothesis} ({p_value(test.p)})" for test in tests if test.p >= LEVEL]
+    parts += [f"Not rejected: {', '.join(kept)}."] * bool(kept)
     parts += ["Mode shapes are unscaled, as no force was measured: the largest entry is 1."] * (outputs > 1)
     tested = f"Ljung-Box {p_value(whiteness)}"
     white = f"The prediction errors are white ({tested}): the model explains the data."

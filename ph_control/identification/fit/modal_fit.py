@@ -13,7 +13,7 @@ from ... import _checks
 from ..._display import counted, p_value
 from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask, NDArray
 from ..._units import common_unit
-from ...exceptions import IdentificationError, StructureError
+from ...exceptions import StructureError
 from ...modal.discretization import Hold
 from ...modal.modal_form import imaginary
 from ..data.channels import Recording, ResponseMatrix, refuse_still, single
@@ -29,7 +29,6 @@ from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.unequal_noise import in_equal_noise
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
 from ..excitation.excitation import examine
-from ..innovations.ambient import ambient_fit
 from ..innovations.forces import KINDS, beside_forces
 from ..regression.free import FreeProjection, GivenResidues, refine_free
 from ..regression.free_prediction import FittedChannels, natural_jacobian
@@ -56,7 +55,7 @@ from ..structure.layout import POWERS, ChannelLayout, residue_of_unit_weight, we
 from ..uncertainty.fisher import PortRecord
 from ..uncertainty.residual_data import without_peaks
 from ..uncertainty.residual_tests import ljung_box
-from .ambient_result import ambient_result
+from .outputs_alone import are_alone, of_outputs_alone
 from .pem_result import PEMResult
 from .result import STRUCTURES, OrderRow, cut_short
 from .scaled_shapes import ModeShapes, shape_errors
@@ -71,8 +70,6 @@ _MOST_TONES = 20  # times that more tones are looked for
 _SAME_LEVEL = 0.02  # mean difference of the logarithms of levels of noise that are the same
 _SAME = 1.0  # difference of the BIC of models that are the same
 _CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
-_FEW_MODES = 4  # that are tried for a motion that may be no decay
-_DECAYED = 4.0  # times the squares of the last quarter of a record in its first
 
 Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
 
@@ -158,65 +155,10 @@ def fit_channels(
         limited = replace(options, max_order=min(most, options.max_order))
         return _of_modes_and_inputs(channels, request, limited, start, findings, order)
 
-    if not _are_alone(channels, request, options):
+    if not are_alone(channels, request.structure, options):
         return of_modes()
-    return _of_outputs_alone([data for data in channels if isinstance(data, Recording)], request, options, order, of_modes)
-
-
-def _are_alone(channels: Channels, request: Request, options: Options) -> bool:
-    """Whether the data are outputs without inputs or gaps, which unmeasured forces may have kept in motion."""
-    alone = all(isinstance(data, Recording) and not data.u.any() and data.observed.all() for data in channels)
-    steps = {data.dt for data in channels if isinstance(data, Recording)}
-    if options.noise == "forces" and not alone and not any(getattr(data, "driven", True) for data in channels):
-        raise StructureError(
-            "noise='forces' of outputs alone needs recordings without missing samples: cut them where samples are missing"
-        )
-    lossless = request.structure == "lossless" or options.method != "exact"
-    return alone and len(steps) == 1 and options.noise in ("auto", "forces") and not lossless
-
-
-def _of_outputs_alone(
-    channels: list[Recording], request: Request, options: Options, order: int | str, of_modes: Callable[..., PEMResult]
-) -> PEMResult:
-    """The likelier of a motion that decays and of one that forces keep up; the former where its noise is white."""
-    given = options.noise == "forces"
-    decaying = not given and _decays(channels)
-    result = None if given else of_modes() if decaying or order != "auto" else of_modes(_FEW_MODES)
-    if result is not None and (result.whiteness >= WHITE or not result.success):
-        return result
-    reports = reporter(options.largest, options.callback)
-    counts = {"order": order if isinstance(order, int) else None, "max_order": options.max_order}
-    counts["real_poles"] = options.real_poles if isinstance(options.real_poles, int) else None
-    criterion = "bic" if options.criterion == "holdout" else options.criterion
-    fit = ambient_fit(channels, **counts, criterion=criterion, reports=reports)
-    if fit is None:
-        if result is None:
-            raise IdentificationError(
-                f"records of {', '.join(str(data.samples) for data in channels)} samples show no model of forces that "
-                "nobody measured: leave noise out, or record longer"
-            )
-        return of_modes()
-    if result is not None and _bic_of(result) <= fit.criteria.bic:
-        return result if decaying or order != "auto" else of_modes()
-    gain = 0.0 if result is None else fit.criteria.loglik - result.loglik
-    most = options.max_order if order == "auto" else None
-    return ambient_result(channels, fit, request.quantities, gain, most)
-
-
-def _bic_of(result: PEMResult) -> float:
-    return result.bic if np.isfinite(result.bic) else np.inf
-
-
-def _decays(channels: Sequence[Recording]) -> bool:
-    """Whether outputs move far less in the last quarter of the records than in the first."""
-    first = last = 0.0
-    for data in channels:
-        y = data.y - data.y.mean(axis=1, keepdims=True)
-        size = np.maximum(np.sum(y**2, axis=1), np.finfo(float).tiny)
-        part = max(1, data.samples // 4)
-        first += float(np.sum(np.sum(y[:, :part] ** 2, axis=1) / size))
-        last += float(np.sum(np.sum(y[:, -part:] ** 2, axis=1) / size))
-    return first > _DECAYED * last
+    recordings = [data for data in channels if isinstance(data, Recording)]
+    return of_outputs_alone(recordings, request, options, order, of_modes)
 
 
 def _in_noise_of(noise: str, fit: FreeFit, most: int) -> FreeFit:
@@ -1408,7 +1350,7 @@ def _doubts(evidence: _Evidence, most: int) -> list[str]:
     if not any(len(channel.input_labels) for channel in evidence.free.channels):
         sentences.append(
             "This is no free decay if forces that were not measured, such as wind or traffic, act all along: "
-            "record a decay or the forces, or use a program for ambient excitation."
+            "noise='forces' takes it as such, of recordings without missing samples and without a given structure."
         )
     return sentences
 

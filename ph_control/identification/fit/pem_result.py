@@ -27,6 +27,7 @@ from ..data.channels import Recording, ResponseMatrix, several
 from ..data.experiments import as_channels
 from ..data.time_record import InTime
 from ..diagnosis.verdict import HypothesisTest, Outcome
+from ..innovations.ambient import orders_of
 from ..regression.free_prediction import (
     FittedChannels,
     estimated_motion,
@@ -36,7 +37,7 @@ from ..regression.free_prediction import (
 )
 from ..regression.prediction import FittedExperiment, ResponseBackground, output_gain
 from ..regression.windowed import response_through
-from ..search.circumstances import Finding
+from ..search.circumstances import Cause, Finding
 from ..search.modal_search import orders_about
 from ..structure.layout import POWERS, residue_of_unit_weight, weights_of
 from ..uncertainty.draws import draw
@@ -230,6 +231,11 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
     def quantity(self) -> str:
         """What the outputs are, joined by commas where they differ."""
         return ", ".join(dict.fromkeys(self.quantities))
+
+    @property
+    def is_ambient(self) -> bool:
+        """Whether forces that nobody measured kept the plant in motion, as wind or traffic does."""
+        return any(finding.cause is Cause.AMBIENT for finding in self.findings)
 
     @property
     def damping_ratios(self) -> Array:
@@ -552,10 +558,13 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
     def _orders_about(self, most: int) -> Orders:
         """Poles and shapes of models of one mode more each, this result among them; of lossless modes without decay."""
         records: Any = as_channels([experiment.record for experiment in self.experiments])
-        rows = orders_about(
-            records, self.poles, most, quantities=self.quantities, intersample=self.intersample,
-            offset=bool(self.offsets.any()), moving=self._moving, method=self.method, delay=self.delay,
-        )  # fmt: skip
+        if self.is_ambient:
+            rows = [(poles, shapes[:, :, None]) for poles, shapes in orders_of(records, most)]
+        else:
+            rows = orders_about(
+                records, self.poles, most, quantities=self.quantities, intersample=self.intersample,
+                offset=bool(self.offsets.any()), moving=self._moving, method=self.method, delay=self.delay,
+            )  # fmt: skip
         return [
             (self.poles[: self.order], self.shapes) if len(poles) == self.order
             else (

@@ -46,7 +46,8 @@ class ModalReport(Report):
 
     def _lines(self: Any) -> list[str]:
         inputs, outputs = self.input_labels, self.output_labels
-        source = f" from {_listed(inputs)}" if inputs else " in free motion"
+        alone = " under ambient excitation" if self.is_ambient else " in free motion"
+        source = f" from {_listed(inputs)}" if inputs else alone
         ports = [f"{outputs[o]}:{inputs[i]}" for o, i in self.ports]
         scale = "unit modal mass" if self.shapes_scaled else "the largest entry 1, unscaled"
         return [

@@ -9,7 +9,7 @@ refined by maximum likelihood.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -29,6 +29,7 @@ _CLOSE = 3  # models that are refined before the criterion chooses
 _NEAR = 60.0  # of the smallest BIC: what refinement may make up for
 _STEPS = 12  # of these
 _BINS = 1 << 14  # that orders are compared in
+_REAL = 4  # real poles at most beside modes whose number is given
 _PATIENCE = 8  # states more without a better criterion
 
 
@@ -86,16 +87,37 @@ class AmbientFit:
         return self.minimum.evaluation
 
     @property
+    def noise(self) -> NoiseSections:
+        """Sections, and what outputs see and predict of them."""
+        return self.evaluation.point.noise
+
+    @property
+    def order(self) -> int:
+        """Number of modes."""
+        return int(np.sum(self.noise.sections.p.imag > 0))
+
+    @property
     def samples(self) -> int:
         """Number of samples of all outputs."""
         return self.evaluation.problem.samples * len(self.scales)
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns, means and covariance among them."""
+        return self.evaluation.unknowns + self.means.size
 
     @cached_property
     def criteria(self) -> Criteria:
         """Likelihood in the units of the data, and the criteria made of it."""
         size = self.evaluation.problem.samples * float(np.sum(np.log(self.scales)))
-        unknowns = self.evaluation.unknowns + self.means.size
-        return Criteria.of(-0.5 * self.evaluation.cost - size, unknowns, float(self.samples))
+        return Criteria.of(-0.5 * self.evaluation.cost - size, self.unknowns, float(self.samples))
+
+    def with_real_shapes(self) -> AmbientFit:
+        """The fit of modes each of which moves outputs in phase, or opposed."""
+        before = self.evaluation.problem
+        problem = Problem(before.experiments, before.active, real_shapes=True)
+        point = replace(self.evaluation.point, noise=self.noise.of_real_shapes())
+        return replace(self, minimum=minimise(problem, point))
 
 
 def ambient_fit(
@@ -128,43 +150,127 @@ def ambient_fit(
     Exact Gaussian maximum likelihood but for the first samples, whose motion is estimated.  O(T p^2 N) a model of N
     states on the way, O(T p^3 N^2) a step of those that are refined.
     """
-    outputs = [channel.y - channel.y.mean(axis=1, keepdims=True) for channel in channels]
-    samples = sum(y.shape[1] for y in outputs)
-    scales = np.sqrt(sum(np.sum(y**2, axis=1) for y in outputs) / samples)
-    outputs = [y / scales[:, None] for y in outputs]
-    problem = Problem([Experiment.of_outputs(y) for y in outputs], np.zeros((0, len(scales)), bool))
-    shortest = min(y.shape[1] for y in outputs)
-    longest = min(_ROWS // len(scales), shortest // 4, samples // (_SAMPLES_EACH * len(scales)))
-    if longest < 2:
+    data = _Standardised.of(channels)
+    if data.longest < 2:
         return None
-    R = sum(correlations(y, 2 * longest) for y in outputs) / samples
-    best: dict[int, AmbientOrder] = {}
-    most = 2 * max_order if order is None else 2 * order + 4
-    coarse = [experiment.thinned(max(1, len(experiment.z) // _BINS)) for experiment in problem.experiments]
-    coarse_problem = Problem(coarse, problem.active)
-    for share in _HORIZONS:
-        horizon = max(2, round(share * longest))
-        variates, worse = CanonicalVariates(R[: 2 * horizon + 1]), 0
-        for states in range(1, min(most, variates.largest // 2) + 1):
-            model = _started(coarse_problem, variates, states)
-            least = min((known.bic for known in best.values()), default=np.inf)
-            worse = 0 if model is not None and model.bic < least else worse + 1
-            if model is not None and (states not in best or model.bic < best[states].bic):
-                best[states] = model
-            if model is not None and (report := reports(model.order)) is not None:
-                report(states, model.loss(samples))
-            if order is None and worse > _PATIENCE:
-                break
-    fitting = [model for model in best.values() if _has(model.noise, order, real_poles) and model.order <= max_order]
+    more = real_poles if real_poles is not None else _REAL if order is not None else 1
+    most = 2 * (max_order if order is None else order) + more
+    models = data.models(most, order is None, reports)
+    fitting = [model for model in models.best if _has(model.noise, order, real_poles) and model.order <= max_order]
     if not fitting:
         return None
     least = min(model.bic for model in fitting)
     close = [model for model in sorted(fitting, key=lambda model: model.bic)[:_CLOSE] if model.bic < least + _NEAR]
-    refined = [minimise(problem, _point(problem, model.noise), steps=_STEPS) for model in close]
+    end = _refined(data.problem, close, criterion, reports, models.interrupted)
+    return AmbientFit(end, data.scales, data.means, models.best)
+
+
+def _refined(
+    problem: Problem, close: Sequence[AmbientOrder], criterion: str, reports: Callable[[int], Report | None],
+    interrupted: bool,
+) -> Minimum:  # fmt: skip
+    """The best of a few models, at its maximum of the likelihood unless interrupted."""
+    refined = list[Minimum]()
+    for model in close[:1] if interrupted else close:
+        start, steps = _point(problem, model.noise), 0 if interrupted else _STEPS
+        refined.append(minimise(problem, start, steps=steps, report=_telling(reports, start)))
+        interrupted = interrupted or refined[-1].interrupted
+        if interrupted:
+            break
     chosen = min(refined, key=lambda minimum: _criteria(minimum.evaluation).by_name(criterion))
-    end = minimise(problem, chosen.evaluation.point)
-    means = np.stack([channel.y.mean(axis=1) for channel in channels])
-    return AmbientFit(end, scales, means, tuple(best[states] for states in sorted(best)))
+    if interrupted:
+        return replace(chosen, interrupted=True)
+    start = chosen.evaluation.point
+    return chosen if chosen.converged else minimise(problem, start, report=_telling(reports, start))
+
+
+def _telling(reports: Callable[[int], Report | None], start: Point) -> Callable[[int, Evaluation], None]:
+    """What tells of the steps of a minimisation."""
+    report = reports(int(np.sum(start.poles.imag > 0)))
+
+    def told(step: int, evaluation: Evaluation) -> None:
+        if report is not None:
+            report(step, float(np.exp(np.linalg.slogdet(evaluation.covariance)[1] / evaluation.p)))
+
+    return told
+
+
+@dataclass(frozen=True, eq=False)
+class _Models:
+    """Models of ascending numbers of states, from the canonical variates that suit each best."""
+
+    best: tuple[AmbientOrder, ...]
+    interrupted: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Standardised:
+    """Records less their means, of variance 1, and the longest past that they show."""
+
+    problem: Problem
+    outputs: list[Array]
+    scales: Array
+    means: Array
+
+    @classmethod
+    def of(cls, channels: Sequence[Recording]) -> _Standardised:
+        """Those of recordings."""
+        means = np.stack([channel.y.mean(axis=1) for channel in channels])
+        outputs = [channel.y - mean[:, None] for channel, mean in zip(channels, means, strict=True)]
+        samples = sum(y.shape[1] for y in outputs)
+        scales = np.sqrt(sum(np.sum(y**2, axis=1) for y in outputs) / samples)
+        outputs = [y / scales[:, None] for y in outputs]
+        problem = Problem([Experiment.of_outputs(y) for y in outputs], np.zeros((0, len(scales)), bool))
+        return cls(problem, outputs, scales, means)
+
+    @property
+    def longest(self) -> int:
+        """Samples of the longest past."""
+        p, shortest = len(self.scales), min(y.shape[1] for y in self.outputs)
+        return min(_ROWS // p, shortest // 4, self.problem.samples // (_SAMPLES_EACH * p))
+
+    def models(
+        self, most: int, automatic: bool = False, reports: Callable[[int], Report | None] = lambda order: None
+    ) -> _Models:
+        """Models of up to so many states; none beyond those that the criterion prefers, where that is to choose."""
+        samples = self.problem.samples
+        R = sum(correlations(y, 2 * self.longest) for y in self.outputs) / samples
+        thinned = [experiment.thinned(max(1, len(experiment.z) // _BINS)) for experiment in self.problem.experiments]
+        coarse = Problem(thinned, self.problem.active)
+        nothing = _judged(coarse, NoiseSections.without_states(len(self.scales)))
+        best = {0: nothing} if nothing is not None else {}
+        try:
+            for share in _HORIZONS:
+                horizon = max(2, round(share * self.longest))
+                variates, worse = CanonicalVariates(R[: 2 * horizon + 1]), 0
+                for states in range(1, min(most, variates.largest // 2) + 1):
+                    model = _started(coarse, variates, states)
+                    least = min((known.bic for known in best.values()), default=np.inf)
+                    worse = 0 if model is not None and model.bic < least else worse + 1
+                    if model is not None and (states not in best or model.bic < best[states].bic):
+                        best[states] = model
+                    if model is not None and (report := reports(model.order)) is not None:
+                        report(states, model.loss(samples))
+                    if automatic and worse > _PATIENCE:
+                        break
+        except KeyboardInterrupt:
+            return _Models(tuple(best[states] for states in sorted(best)), True)
+        return _Models(tuple(best[states] for states in sorted(best)), False)
+
+
+def orders_of(channels: Sequence[Recording], most: int) -> list[tuple[ComplexArray, ComplexArray]]:
+    """Poles (n,) and shapes (n, p) of models of 1, 2, .. modes, per unit time and in units of the outputs."""
+    data, step, orders = _Standardised.of(channels), channels[0].dt, list[tuple[ComplexArray, ComplexArray]]()
+    if data.longest < 2:
+        return orders
+    models = data.models(2 * most + _REAL).best
+    for count in range(1, most + 1):
+        fitting = [model for model in models if model.order == count]
+        if fitting:
+            noise = min(fitting, key=lambda model: model.bic).noise
+            poles = noise.sections.p
+            orders.append((poles[poles.imag > 0] / step, shapes_of(noise) * data.scales))
+    return orders
 
 
 def _has(noise: NoiseSections, order: int | None, real_poles: int | None) -> bool:
@@ -176,8 +282,10 @@ def _has(noise: NoiseSections, order: int | None, real_poles: int | None) -> boo
 def _started(problem: Problem, variates: CanonicalVariates, states: int) -> AmbientOrder | None:
     matrices = variates.model(states)
     noise = None if matrices is None else in_sections(*matrices, 1.0)
-    if noise is None:
-        return None
+    return None if noise is None else _judged(problem, noise)
+
+
+def _judged(problem: Problem, noise: NoiseSections) -> AmbientOrder | None:
     evaluation = problem.at(_point(problem, noise))
     return AmbientOrder(noise, _criteria(evaluation)) if np.isfinite(evaluation.cost) else None
 

@@ -10,7 +10,7 @@ damping); the covariance is the one that the prediction errors have.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -127,13 +127,16 @@ def pieces(count: int, size: int, stride: int = 1) -> Iterator[slice]:
 class Problem:
     """Prediction errors of experiments, of the numbers that are `active` (width, p) among the shared ones.
 
-    `coloured` says whether noise comes through the plant; else it is white, with any covariance.
+    `coloured` says whether noise comes through the plant; else it is white, with any covariance.  `real_shapes` says
+    whether outputs see the first state of each mode alone: what they see of a mode is then one shape, times a motion.
     """
 
     def __init__(
-        self, experiments: Sequence[Experiment], active: Mask, coloured: bool = True, fed: Mask | None = None
-    ) -> None:
+        self, experiments: Sequence[Experiment], active: Mask, coloured: bool = True, fed: Mask | None = None,
+        real_shapes: bool = False,
+    ) -> None:  # fmt: skip
         self.experiments, self.active, self.coloured, self.fed = tuple(experiments), active, coloured, fed
+        self.real_shapes = real_shapes
         self.samples = sum(experiment.samples for experiment in experiments)
 
     @property
@@ -231,8 +234,7 @@ class Evaluation:
     @property
     def unknowns(self) -> int:
         """Numbers that move, less those of bases, and of the covariance."""
-        noise = self.point.noise.states if self.problem.coloured else 0
-        return len(self.problem.vector(self.point)) - noise + self.p * (self.p + 1) // 2
+        return len(self.problem.vector(self.point)) - self.bases.shape[1] + self.p * (self.p + 1) // 2
 
     @cached_property
     def covariance(self) -> Array:
@@ -394,17 +396,29 @@ class Evaluation:
                 gradient += ((J.conj().T * counts) @ errors).real
             both = np.concatenate([J.real, J.imag]) * np.sqrt(np.tile(counts, 2))[:, None]
             gram += both.T @ both
-        return gram, self._slope_of_noise() if alone else gradient
+        gradient = self._slope_of_noise() if alone else gradient
+        gradient[self._held], gram[self._held], gram[:, self._held] = 0.0, 0.0, 0.0
+        return gram, gradient
+
+    @cached_property
+    def _held(self) -> Indices:
+        """Places of numbers that stay: what outputs see of the second state of each mode, where shapes are real."""
+        noise, first = self.point.noise, len(self.point.noise.sections.x)
+        if not (self.problem.real_shapes and self.problem.coloured):
+            return np.zeros(0, int)
+        second = 2 * np.flatnonzero(noise.sections.square > 0) + 1
+        return np.asarray((first + np.arange(self.p)[:, None] * noise.states + second).ravel())
 
     @cached_property
     def bases(self) -> Array:
-        """Directions among all numbers that change nothing but the bases of the noise's states."""
-        size, N = len(self.problem.vector(self.point)), self.point.noise.states
+        """Directions among all numbers that change nothing but the bases of the noise's states, or that are held."""
+        size = len(self.problem.vector(self.point))
         if not self.problem.coloured:
             return np.zeros((size, 0))
-        bases, first = np.zeros((size, N)), len(self.point.noise.sections.x)
-        inner = self.point.noise.bases
-        bases[first : first + len(inner)] = inner
+        inner, first = self.point.noise.bases(self.problem.real_shapes), len(self.point.noise.sections.x)
+        bases = np.zeros((size, inner.shape[1] + len(self._held)))
+        bases[first : first + len(inner), : inner.shape[1]] = inner
+        bases[self._held, inner.shape[1] + np.arange(len(self._held))] = 1.0
         return bases
 
     def scaled_normal(self) -> tuple[Array, Array, Array]:
@@ -432,15 +446,27 @@ class Minimum:
     evaluation: Evaluation
     converged: bool
     steps: int
+    interrupted: bool = False
 
 
-def minimise(problem: Problem, start: Point, tolerance: float = 1e-3, steps: int = _STEPS) -> Minimum:
-    """Go down to a minimum: until a step lowers twice the negative log-likelihood by less than `tolerance`."""
+def minimise(
+    problem: Problem, start: Point, tolerance: float = 1e-3, steps: int = _STEPS,
+    report: Callable[[int, Evaluation], None] | None = None,
+) -> Minimum:  # fmt: skip
+    """Go down to a minimum: until a step lowers twice the negative log-likelihood by less than `tolerance`.
+
+    `report` is called with the number of each step and where it led; it ends the minimisation by an interruption.
+    """
     best, damping = problem.at(start), 1e-3
     taken = 0
-    if not np.isfinite(best.cost):
-        return Minimum(best, False, 0)
+    if not np.isfinite(best.cost) or not len(problem.vector(start)):
+        return Minimum(best, np.isfinite(best.cost), 0)
     while taken < steps:
+        if report is not None:
+            try:
+                report(taken, best)
+            except KeyboardInterrupt:
+                return Minimum(best, False, taken, interrupted=True)
         gram, gradient, lengths = best.scaled_normal()
         x = problem.vector(best.point)
         while True:

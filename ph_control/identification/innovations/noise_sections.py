@@ -44,6 +44,12 @@ class NoiseSections:
     C: Array
     K: Array
 
+    @classmethod
+    def without_states(cls, outputs: int) -> NoiseSections:
+        """White noise of so many outputs."""
+        sections = Sections.of(np.zeros(0, complex))
+        return cls(sections, 1.0, np.zeros(0), np.zeros((outputs, 0)), np.zeros((0, outputs)))
+
     @property
     def states(self) -> int:
         """Number of states N."""
@@ -141,11 +147,13 @@ class NoiseSections:
             transfer[:, :, row] = self.C[:, row] / (z[:, 0] - self.A[row, row])
         return transfer
 
-    @cached_property
-    def bases(self) -> Array:
-        """Directions in `(C, K)` that change the bases of the states alone, orthonormal columns (2 p N, N)."""
+    def bases(self, real_shapes: bool = False) -> Array:
+        """Directions in `(C, K)` that change the bases of the states alone, orthonormal columns (2 p N, .).
+
+        They are N; where outputs see the first state of each mode alone, one fewer for each mode.
+        """
         directions = []
-        for first, block in self._commuting():
+        for first, block in self._commuting(real_shapes):
             place = slice(first, first + len(block))
             C, K = np.zeros(self.C.shape), np.zeros(self.K.shape)
             C[:, place], K[place] = self.C[:, place] @ block, -block @ self.K[place]
@@ -154,13 +162,27 @@ class NoiseSections:
             return np.zeros((2 * self.C.size, 0))
         return np.asarray(np.linalg.qr(np.array(directions).T)[0])
 
-    def _commuting(self) -> Iterator[tuple[int, Array]]:
-        """Matrices that commute with each block."""
-        for k, w in enumerate(self.references):
+    def _commuting(self, real_shapes: bool) -> Iterator[tuple[int, Array]]:
+        """Matrices that commute with each block; with those of modes, that are diagonal, where shapes are real."""
+        for k, (w, square) in enumerate(zip(self.references, self.sections.square, strict=True)):
             yield 2 * k, np.eye(2)
-            yield 2 * k, np.array([[0.0, 1.0], [-self.sections.square[k] / w**2, 0.0]])
+            if not (real_shapes and square > 0):
+                yield 2 * k, np.array([[0.0, 1.0], [-square / w**2, 0.0]])
         for k in range(len(self.sections.rates)):
             yield 2 * self.pairs + k, np.eye(1)
+
+    def of_real_shapes(self) -> NoiseSections:
+        """The model in bases in which outputs see the first state of each mode alone, as far as shapes are real."""
+        C, K = self.C.copy(), self.K.copy()
+        for k in np.flatnonzero(self.sections.square > 0).tolist():
+            both, turn = slice(2 * k, 2 * k + 2), np.sqrt(self.sections.square[k]) / self.references[k]
+            shape = self.C[:, 2 * k] + 1j * turn * self.C[:, 2 * k + 1]
+            # of (c e^{-i angle}) the imaginary part is the least
+            angle = 0.5 * np.angle(np.sum(shape**2))
+            back = np.cos(angle) * np.eye(2) - np.sin(angle) * np.array([[0.0, 1.0 / turn], [-turn, 0.0]])
+            C[:, both], K[both] = self.C[:, both] @ back, np.linalg.solve(back, self.K[both])
+            C[:, 2 * k + 1] = 0.0
+        return self.moved(self.sections, C, K)
 
     def moved(self, sections: Sections, C: Array, K: Array) -> NoiseSections:
         """The model with other numbers."""
