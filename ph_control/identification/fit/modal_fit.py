@@ -59,6 +59,7 @@ from .outputs_alone import are_alone, of_outputs_alone
 from .pem_result import PEMResult
 from .result import STRUCTURES, OrderRow, cut_short
 from .scaled_shapes import ModeShapes, shape_errors
+from .strong_forces import beside_strong_forces
 
 _MOST = 20, 40  # modes of records, and of responses, which may be those of networks
 _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it
@@ -184,7 +185,8 @@ def _of_modes_and_inputs(
             free_fit, channels, quantities=request.quantities, intersample=options.intersample, offset=options.offset,
             max_order=options.max_order, criterion=options.criterion, weighted=options.weighted,
             real_poles=options.real_poles, method=options.method, delay=options.delay,
-            white=options.noise in ("white", *KINDS), beside=partial(_in_noise_of, options.noise), reports=reporter(options.largest, options.callback),
+            white=options.noise in ("white", *KINDS), beside=partial(_in_noise_of, options.noise),
+            reports=reporter(options.largest, options.callback),
         )  # fmt: skip
 
     resting = options.moving and begin_at_rest(channels)
@@ -193,8 +195,13 @@ def _of_modes_and_inputs(
         return _Searched(channels, *_beside_motion(search_in(channels), order, start, options.moving, resting))
 
     latest = _beside_hum(searched(channels), searched, isinstance(order, str))
-    latest = _beside_unequal_noise(latest, searched)
-    latest = _beside_changing_noise(latest, searched)
+    if options.noise in ("auto", "forces"):
+        again = search_in(latest.channels)
+        latest = replace(
+            latest, free=beside_strong_forces(latest.free, order, options.max_order, again, latest.moving)
+        )
+    if latest.free.beside is None:
+        latest = _beside_changing_noise(_beside_unequal_noise(latest, searched), searched)
     search, moving = search_in(latest.channels), latest.moving
     free = replace(
         latest.free, findings=(*latest.findings, *latest.free.findings, *_about_order(latest.free, order, options))
