@@ -196,10 +196,7 @@ def _of_modes_and_inputs(
 
     latest = _beside_hum(searched(channels), searched, isinstance(order, str))
     if options.noise in ("auto", "forces"):
-        again = search_in(latest.channels)
-        latest = replace(
-            latest, free=beside_strong_forces(latest.free, order, options.max_order, again, latest.moving)
-        )
+        latest = replace(latest, free=beside_strong_forces(latest.free, order, options.max_order))
     if latest.free.beside is None:
         latest = _beside_changing_noise(_beside_unequal_noise(latest, searched), searched)
     search, moving = search_in(latest.channels), latest.moving

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ..data.channels import Recording
 from ..data.parts import is_long
 from ..diagnosis.coloured_noise import is_white
-from ..innovations.ambient import ambient_fit
+from ..innovations.ambient import AmbientFit, ambient_fit
+from ..innovations.forces import beside_known_forces
+from ..innovations.noise_sections import NoiseSections
+from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
 from ..search.modal_search import FreeFit
 
 _MOSTLY = 0.5  # of the squares of outputs: less than that of them inputs explain where forces prevail
 
 
-def beside_strong_forces(
-    free: FreeFit, order: int | str, max_order: int, search: Callable[..., FreeFit], moving: bool
-) -> FreeFit:
+def beside_strong_forces(free: FreeFit, order: int | str, max_order: int) -> FreeFit:
     """The fit with the modes that outputs show alone, where inputs explain less than half of these.
 
     What inputs do is then far below the noise, and a search for it ends early or takes modes for what forces do.
@@ -31,10 +30,6 @@ def beside_strong_forces(
         Number of modes.
     max_order : int
         Largest number of modes.
-    search : callable
-        Refines modes from a start beside forces: `search(order, start=poles, moving=moving)`.
-    moving : bool
-        Whether plants may be in motion where records begin.
     """
     recordings = [data for data in free.channels if isinstance(data, Recording)]
     if len(recordings) < len(free.channels) or free.interrupted or free.rounding or is_long(recordings):
@@ -45,13 +40,18 @@ def beside_strong_forces(
     if not _is_mostly_noise(free) or (free.beside is None and is_white(free.projection)):
         return free
     fit = ambient_fit(recordings, order=order if isinstance(order, int) else None, max_order=max_order)
-    poles = np.zeros(0) if fit is None else fit.evaluation.point.poles / recordings[0].dt
-    poles = poles[poles.imag > 0]
-    if not len(poles):
+    if fit is None or not np.any(fit.evaluation.point.poles.imag > 0):
         return free
-    again = search(len(poles), start=poles, moving=moving)
-    better = again.beside is not None and again.criteria.bic < free.criteria.bic
-    return again if better else free
+    again = beside_known_forces(free, noise_of(fit, recordings[0].dt))
+    return again if again is not free and again.criteria.bic < free.criteria.bic else free
+
+
+def noise_of(fit: AmbientFit, step: float) -> NoiseSections:
+    """The noise of a fit to outputs alone, in units of the data and of time."""
+    noise = fit.evaluation.point.noise
+    x, k = noise.sections.x, len(noise.sections.decay)
+    sections = Sections.from_coordinates(np.concatenate([x[:k] / step, x[k : 2 * k] / step**2, x[2 * k :] / step]))
+    return NoiseSections(sections, step, noise.references / step, fit.scales[:, None] * noise.C, noise.K / fit.scales)
 
 
 def _is_mostly_noise(free: FreeFit) -> bool:

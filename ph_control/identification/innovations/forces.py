@@ -123,6 +123,33 @@ def beside_forces(
     return fitted.with_rival(lambda rival: _beside_forces(rival, KINDS[-1:] if fitted.beside.is_coloured else KINDS[:1], True))
 
 
+def beside_known_forces(free: FreeFit, noise: NoiseSections) -> FreeFit:
+    """The fit whose poles and forces begin with those of a noise of the outputs, in units of the data.
+
+    What white noise would make of poles plays no part.  The same where the record does not allow the likelihood.
+    """
+    rows = _rows(free)
+    if rows is None:
+        return free
+    fed, sections = free.projection.fed, noise.sections
+    experiments = experiments_of(FreeProjection(rows, sections.p, fed, sections), free.channels)
+    size = _unknowns(rows, sections, len(free.scales))
+    count = sum(record.samples * len(record.outputs) for record in rows)
+    if experiments is None or size > _UNKNOWNS or size * count > _NUMBERS or count < _SPARE * size:
+        return free
+    projection = FreeProjection(rows, sections.p, fed, sections)
+    scaled = noise.moved(sections, noise.C / free.scales[:, None], noise.K * free.scales)
+    problem = Problem(experiments, projection.shown, fed=fed)
+    try:
+        best = minimise(problem, Point(scaled, projection.shared, tuple(projection.own)), steps=_STEPS)
+    except KeyboardInterrupt:
+        return replace(free, interrupted=True)
+    if not np.isfinite(best.evaluation.cost):
+        return free
+    forced = _in_noise(free, best, _alone(replace(free, noise=()), problem, best.evaluation.point), True)
+    return forced.with_rival(lambda rival: beside_known_forces(rival, noise))
+
+
 def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, most: int = 0) -> FreeFit:
     rows = _rows(free)
     start = None if rows is None else _start(free, rows, free.projection.p)
@@ -391,7 +418,9 @@ def _in_noise(free: FreeFit, best: Minimum, alone: float, certain: bool) -> Free
     if not certain and free.criteria.bic <= criteria.bic and (free.noise or noise.is_coloured):
         return free
     finding = _finding(free, noise, evaluation, 0.5 * (alone - evaluation.cost))
-    of_noise = (Cause.COLOURED_NOISE, Cause.INPUT_NOISE, Cause.COLOURED_RESIDUALS)
+    of_noise = (
+        Cause.COLOURED_NOISE, Cause.INPUT_NOISE, Cause.COLOURED_RESIDUALS, Cause.FORCES, Cause.CORRELATED_NOISE,
+    )  # fmt: skip
     others = tuple(each for each in free.findings if each.cause not in of_noise)
     return replace(
         free, projection=joint, unknowns=unknowns, criteria=criteria, findings=(*others, finding), measured=None, noise=(),
