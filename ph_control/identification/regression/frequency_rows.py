@@ -228,15 +228,15 @@ class FreeResponseEvaluation(Evaluation):
     def __init__(self, rows: FreeResponse, p: ComplexArray) -> None:
         self._rows, self._p = rows, p
 
-    def blocks(self) -> Iterator[Array]:
-        """All rows in one block."""
+    def blocks(self, slopes: bool = True) -> Iterator[Array]:
+        """All rows in one block, with the derivatives also without `slopes`."""
         rows = self._rows
         ahead, behind = rows.poles(self._p)
-        slopes = [rows.slopes(self._p, (ahead, behind))]
+        derivatives = [rows.slopes(self._p, (ahead, behind))]
         if rows.delay is not None:  # what is fed through changes with s, and modes by the force beside themselves
             s, felt = 1j * rows.omega, rows.weight[None].astype(complex)
-            slopes += [s * felt if rows.through else felt, s * rows.background]
-        yield real_rows([rows.columns(self._p, (ahead, behind)), *slopes, rows.target])
+            derivatives += [s * felt if rows.through else felt, s * rows.background]
+        yield real_rows([rows.columns(self._p, (ahead, behind)), *derivatives, rows.target])
 
     def predict(self, shared: Array, own: Array) -> ComplexArray:
         """Responses of a model at all frequencies of the record; NaN where nothing was measured."""
