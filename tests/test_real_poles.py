@@ -153,6 +153,17 @@ def test_no_lag_is_seen_in_a_plant_without_any():
     assert seen == 0
 
 
+@pytest.mark.parametrize("seed", [5, 32, 66, 71])
+def test_a_lag_is_not_two_poles_close_to_each_other(seed):
+    """Of a record of which the search sees the bins about poles, a lag explains what all bins show."""
+    rng = np.random.default_rng([seed, 0])
+    u = np.repeat(rng.choice([-1.0, 1.0], 200), 10) + 0.3 * rng.standard_normal(2000)
+    y = held([-5.0], [5.0], u, 0.01)
+    result = phc.pem((u, y + 0.03 * y.std() * rng.standard_normal(2000)), dt=0.01)
+    assert len(result.poles) == 1 and result.structure == "classical"
+    assert abs(result.real_poles[0] + 5.0) < 4 * result.stderr["real_poles"][0]
+
+
 def carts(samples=1000, h=0.1, push=1.0, seed=0):
     """Velocity of two carts on a spring that are pushed: rigid motion and a mode, no losses."""
     rng = np.random.default_rng(seed)

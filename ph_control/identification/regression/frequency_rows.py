@@ -269,16 +269,16 @@ class FreeResponseEvaluation(Evaluation):
     def __init__(self, rows: FreeResponse, p: ComplexArray) -> None:
         self._rows, self._p = rows, p
 
-    def blocks(self) -> Iterator[Array]:
-        """All rows in one block."""
+    def blocks(self, slopes: bool = True) -> Iterator[Array]:
+        """All rows in one block, with the derivatives also without `slopes`."""
         rows = self._rows
         peaks = rows.peaks(self._p)
-        slopes = [rows.slopes(self._p, peaks)]
+        derivatives = [rows.slopes(self._p, peaks)]
         if rows.delay is not None:  # what is fed through changes with s, and modes by the force beside themselves
             s, felt = 1j * rows.omega, rows.direct
-            slopes += [rows.in_rows(s * felt if rows.through else felt)]
-            slopes += [rows.in_rows(s * background_columns(rows.terms, rows.omega))]
-        yield real_rows([rows.columns(self._p, peaks), *slopes, rows.target])
+            derivatives += [rows.in_rows(s * felt if rows.through else felt)]
+            derivatives += [rows.in_rows(s * background_columns(rows.terms, rows.omega))]
+        yield real_rows([rows.columns(self._p, peaks), *derivatives, rows.target])
 
     def predict(self, shared: Array, own: Array) -> ComplexArray:
         """Responses of a model at all frequencies of the record; NaN where nothing was measured."""

@@ -274,6 +274,13 @@ class FreeWindow:
         bins, counts = thinned_places(ranges, spectrum.last + 1, 1 + spectrum.last // TUNING.everywhere)
         return cls(spectrum, bins[bins >= 1], counts[bins >= 1])
 
+    @classmethod
+    def spread(cls, spectrum: ChannelSpectra) -> FreeWindow:
+        """All bins, or as many spread over the band, each counting as those that it stands for."""
+        step = 1 + spectrum.last // TUNING.all_over
+        bins = np.arange(1, spectrum.last + 1, step)
+        return cls(spectrum, bins, np.full(len(bins), np.sqrt(step)))
+
     @property
     def inputs(self) -> int:
         """Number of inputs."""
@@ -312,6 +319,19 @@ class FreeWindow:
         """The rows for modes with these poles."""
         return FreeWindowEvaluation(self, p)
 
+    def lags(self, rates: Array) -> Array:
+        """What the motion and the inputs of each of some decaying real poles span, shape (rates, 1 + m, rows)."""
+        spectrum, modes = self.spectrum, self.spectrum.record.modes((-rates).astype(complex))
+        z = np.exp(2j * np.pi / spectrum.length * self.bins)
+        over = 1.0 / (z - modes.multiplier.real[:, None])
+        forced = (modes.b0.real[:, None] + modes.b1.real[:, None] * z) * over
+        columns = [z * over, *(forced * transform[self.bins] for transform in spectrum.U)]
+        if spectrum.ahead is not None and modes.ahead is not None:
+            for column, transform in zip(columns[1:], spectrum.ahead, strict=True):
+                column += np.outer(modes.ahead.real, transform[self.bins])
+        joined = np.stack(columns, axis=1) * self.counts
+        return np.concatenate([joined.real, joined.imag], axis=2)
+
 
 class FreeWindowEvaluation(Evaluation):
     """The rows of a window for modes with any damping and residues."""
@@ -321,24 +341,29 @@ class FreeWindowEvaluation(Evaluation):
         self._modes = spectrum.record.modes(p)
         self._columns = TransformColumns(spectrum.length, self._modes, window.bins)
 
-    def blocks(self) -> Iterator[Array]:
-        """All rows in one block."""
+    def blocks(self, slopes: bool = True) -> Iterator[Array]:
+        """All rows in one block; without `slopes` they lack the derivatives."""
         window, columns = self._window, self._columns
-        rows, slopes = [stacked(columns.motion)], [stacked(columns.motion_slopes)]
+        rows, derivatives = [stacked(columns.motion)], [stacked(columns.motion_slopes)] if slopes else []
         spectrum = window.spectrum
         for k, (U, direct) in enumerate(zip(spectrum.U, spectrum.direct, strict=True)):
             numerators = columns.numerators(U)
-            forced, forced_slopes = columns.forced(numerators), columns.forced_slopes(U, numerators)
-            seen, seen_slope = self._modes.ahead, self._modes.ahead_slope
-            if spectrum.ahead is not None and seen is not None and seen_slope is not None:
+            forced, seen = columns.forced(numerators), self._modes.ahead
+            if spectrum.ahead is not None and seen is not None:
                 after = spectrum.ahead[k, window.bins]
                 forced = forced[0] + np.outer(seen, after), forced[1] + np.outer(seen.conj(), after)
-                forced_slopes = (
-                    forced_slopes[0] + np.outer(seen_slope, after),
-                    forced_slopes[1] + np.outer(seen_slope.conj(), after),
-                )
             rows += [stacked(forced), *([direct[None, window.bins]] * window.through)]
-            slopes.append(stacked(forced_slopes))
+            if slopes:
+                derivatives.append(stacked(self._forced_slopes(k, U, numerators)))
         targets = window.spectrum.Y[:, window.bins]
         # squares add up to squares in time
-        yield real_rows([*rows, *slopes, targets], np.sqrt(2.0 / window.spectrum.length) * window.counts)
+        yield real_rows([*rows, *derivatives, targets], np.sqrt(2.0 / window.spectrum.length) * window.counts)
+
+    def _forced_slopes(self, k: int, U: ComplexArray, numerators: Pair) -> Pair:
+        """Derivatives of what belongs to the residues of an input."""
+        spectrum, slope = self._window.spectrum, self._columns.forced_slopes(U, numerators)
+        seen_slope = self._modes.ahead_slope
+        if spectrum.ahead is None or seen_slope is None:
+            return slope
+        after = spectrum.ahead[k, self._window.bins]
+        return slope[0] + np.outer(seen_slope, after), slope[1] + np.outer(seen_slope.conj(), after)

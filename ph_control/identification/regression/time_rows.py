@@ -43,8 +43,8 @@ def size_of(values: Array) -> float:
 class Evaluation:
     """The rows of an experiment at one set of poles: by blocks, or by their inner products."""
 
-    def blocks(self) -> Iterator[Array]:
-        """All rows, block by block."""
+    def blocks(self, slopes: bool = True) -> Iterator[Array]:
+        """All rows, block by block; without `slopes` they may lack the derivatives."""
         raise NotImplementedError
 
     def gram(self) -> Array | None:
@@ -372,9 +372,9 @@ class RecordColumns(Evaluation):
         """All columns in their order, with derivatives if wanted and not known to be some others."""
         raise NotImplementedError
 
-    def blocks(self) -> Iterator[Array]:
-        """All rows, block by block."""
-        for states, columns in self._pieces(True):
+    def blocks(self, slopes: bool = True) -> Iterator[Array]:
+        """All rows, block by block; without `slopes` they may lack the derivatives."""
+        for states, columns in self._pieces(slopes):
             yield self._kept(states, columns)
 
     def gram(self) -> Array | None:

@@ -17,7 +17,7 @@ import numpy as np
 from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices
 from ...modal.discretization import Hold
-from ..regression.elimination import orthogonal, without
+from ..regression.elimination import orthogonal, tolerance, without
 from ..regression.free import FreeProjection, FreeRows
 from ..regression.frequency_rows import FreeResponse, Term
 from ..regression.sections import PoleRegion
@@ -177,21 +177,25 @@ class FreeSearch:
 
 def explained_by_lags(rows: FreeRows, p: ComplexArray, rates: Array) -> Array:
     """Decrease of the sum of squares by each of some real poles, added to the poles of a model."""
-    blocks = list(rows.at(p).blocks())
-    known = np.concatenate(blocks, axis=1)
+    known = np.concatenate(list(rows.at(p).blocks(slopes=False)), axis=1)
     own = rows.own_unknowns(len(p)) + rows.inputs * (2 * len(p) + rows.through)
     basis, _ = orthogonal(known[:own].T)
     residuals = without(known[-len(rows.outputs) :].T, basis)
-    k = len(rates)
-    columns = np.concatenate(list(rows.at((-rates).astype(complex)).blocks()), axis=1)
-    starts = ([0] if rows.moving else []) + [
-        rows.own_unknowns(k) + place * (2 * k + rows.through) for place in range(rows.inputs)
-    ]
-    gains = np.zeros(k)
-    for place in range(k):
-        some, _ = orthogonal(without(columns[[start + place for start in starts]].T, basis))
-        gains[place] = np.sum((some.T @ residuals) ** 2)
-    return gains
+    lags = rows.lags(rates) if isinstance(rows, FreeWindow) else _lags(rows, rates)
+    lags = lags / np.maximum(np.linalg.norm(lags, axis=2, keepdims=True), np.finfo(float).tiny)
+    lags = lags - lags @ basis @ basis.T
+    sizes, turned = np.linalg.eigh(lags @ lags.transpose(0, 2, 1))
+    shown = sizes > tolerance(rows.samples, lags.shape[1])
+    products = np.einsum("kji,kjq->kiq", turned, lags @ residuals)
+    return np.asarray(np.sum(products**2 * (shown / np.where(shown, sizes, 1.0))[:, :, None], axis=(1, 2)))
+
+
+def _lags(rows: FreeRows, rates: Array) -> Array:
+    """What the motion and the inputs of each of some decaying real poles span, shape (rates, columns, rows)."""
+    k, starts = len(rates), [0] * rows.moving
+    starts += [rows.own_unknowns(k) + place * (2 * k + rows.through) for place in range(rows.inputs)]
+    columns = np.concatenate(list(rows.at((-rates).astype(complex)).blocks(slopes=False)), axis=1)
+    return np.asarray(columns[np.arange(k)[:, None] + np.array(starts, int)])
 
 
 @dataclass(frozen=True)
@@ -205,6 +209,10 @@ class Records(FreeSearch):
     def spectra(self) -> list[ChannelSpectra]:
         """Transforms of all records."""
         return [ChannelSpectra.of(record) for record in self.data]
+
+    def spread(self, rows: Sequence[FreeRows]) -> Sequence[FreeRows]:
+        """The rows, or bins all over the band in place of those about modes."""
+        return [FreeWindow.spread(spectrum) for spectrum in self.spectra] if self.windowed else rows
 
     @cached_property
     def windowed(self) -> bool:

@@ -1816,8 +1816,9 @@ class FreePath:
         then the poles stay as they are.
         """
         self.whiten(model.innovations, model.losses)
-        # the exact minimum is that of what remains
-        near = None if interrupted else _DECIDED / float(self.counts.sum())
+        # the exact minimum is that of what remains; real and broad poles that are one too many are told at the minimum
+        enough = _EXACT if automatic and np.any((model.p.imag == 0) | _broad(model.p)) else _DECIDED / self.counts.sum()
+        near = None if interrupted else float(enough)
         projection, losses = self.settled(model.p, None, near)
         while automatic and (needless := self.needless(projection)) is not None:
             projection, losses = self.settled(np.delete(projection.p, needless), None, near)

@@ -351,7 +351,8 @@ def constrained(
         return nearest_passive_fit(
             projection, layout, lambda: constrained(projection, layout, "classical", region, _ITERATIONS)
         )
-    return Approach.towards(projection, layout, hypothesis, region, delays).at_most(iterations).fit
+    steps = _ITERATIONS if iterations is None else max(iterations, _FEW)
+    return Approach.towards(projection, layout, hypothesis, region, delays, steps).at_most(iterations).fit
 
 
 @dataclass(frozen=True)
@@ -365,9 +366,9 @@ class Approach:
     @classmethod
     def towards(
         cls, projection: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion,
-        delays: Delays | None = None,
+        delays: Delays | None = None, steps: int = _FEW,
     ) -> Approach:  # fmt: skip
-        """The beginning: the minimum in the tangent of the free fit, where the structure is near to this."""
+        """The beginning: the minimum in the tangent of the free fit, in so many steps, where the structure is near."""
         coordinates = coordinates_of(projection, layout, hypothesis)
         residues, through = layout.split(projection.shared, len(projection.p))
         crowded = is_crowded(projection, region)
@@ -381,17 +382,15 @@ class Approach:
         x = problem.inside(x if delays is None else np.append(x, delays.values))
         if delays is None and not crowded and coordinates.sections_at(x).keeps_kinds(projection.sections):
             tangent = replace(problem, tangent=Tangent(projection))
-            x = refine(tangent, x, rtol=TUNING.rough, max_iterations=_FEW, last=False).projection.x
+            x = refine(tangent, x, rtol=TUNING.rough, max_iterations=steps, last=False).projection.x
         return cls(hypothesis, problem, Refinement(problem.project(x), converged=not len(x)))
 
     def at_most(self, iterations: int | None) -> Approach:
         """The same after so many iterations in all, or at the minimum: with None it is followed to its last digit."""
         most, last = _ITERATIONS if iterations is None else iterations, iterations is None
         end = continue_refinement(self.problem, replace(self.refinement), rtol=_EXACT, max_iterations=most, last=last)
-        if end.converged:
-            projection = _at_bound(self.problem, end.projection)
-            if projection is not end.projection:
-                end = refine(self.problem, projection.x, rtol=_EXACT, max_iterations=most, last=last)
+        while end.converged and (point := _at_bound(self.problem, end.projection)) is not end.projection:
+            end = refine(self.problem, point.x, rtol=_EXACT, max_iterations=most, last=last)
         return replace(self, refinement=end)
 
     @property

@@ -16,7 +16,7 @@ from ..._types import Array, Indices, Mask
 from ..regression.free import Delays, FreeProjection, FreeRows
 from ..regression.sections import PoleRegion
 from ..regression.tuning import TUNING
-from .constrained import StructuredFit, constrained
+from .constrained import Approach, StructuredFit
 from .layout import POWERS, ChannelLayout
 
 _GRID = 16  # delays that are compared within the interval between samples
@@ -25,6 +25,7 @@ _STARTS = 2  # common delays that are tried
 _MARGIN = 1.5  # samples by which a search may go beyond where it began
 _BROAD = 0.2  # damping ratio from which on modes may stand for a delay
 _ITERATIONS = 12  # of those that are compared
+_FAR = 10.0  # times what free residues leave: from there no way leads to what they leave
 
 
 @dataclass(frozen=True)
@@ -77,10 +78,10 @@ def with_delays(
     Returns
     -------
     DelayedStructure or None
-        The best of a delay common to all outputs, and one of each.
+        The best of a delay common to all outputs, and one of each; None where none comes near to the free fit.
     """
     now, least = delays_of(projection), np.inf
-    best: tuple[FreeProjection, Delays, Mask | None] | None = None
+    best: tuple[Approach, Mask | None] | None = None
     starts = [Delays.of_outputs(now)] if settled else list(_starts(projection, layout, now, region.ceiling))
     if settled and np.ptp(now) == 0 and len(now) > 1:
         starts.append(Delays(_outputs_of(layout), now[np.unique(_outputs_of(layout), return_index=True)[1]]))
@@ -93,13 +94,18 @@ def with_delays(
         for p in poles:
             for mask in through if projection.has_feedthrough else [None]:
                 start = FreeProjection(delayed, p, mask)
-                fit = constrained(start, layout, hypothesis, region.about(start.sections), _ITERATIONS, bounded)
-                if (cost := cost_of(fit, layout.scales)) < least:
-                    best, least = (start, bounded, mask), cost
+                beginning = Approach.towards(start, layout, hypothesis, region.about(start.sections), bounded)
+                approach = beginning.at_most(_ITERATIONS)
+                if (cost := cost_of(approach.fit, layout.scales)) < least:
+                    best, least = (approach, mask), cost
     if best is None:
         return None
-    start, bounded, mask = best
-    fit = constrained(start, layout, hypothesis, region.about(start.sections), None, bounded)
+    approach, mask = best
+    known = approach.fit
+    far = known.loss / known.projection.rows > _FAR * projection.loss / projection.rows
+    if far and not (settled or known.converged):
+        return None
+    fit = approach.at_most(None).fit
     return DelayedStructure(fit, FreeProjection(fit.projection.experiments, fit.p, mask))
 
 
