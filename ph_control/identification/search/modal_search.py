@@ -1449,13 +1449,19 @@ class FreePath:
     def without_slow_noise(self, model: FreeModel) -> FreeModel:
         """A model without its slow poles, where the criterion prefers noise of slow colour to these.
 
-        In white noise such poles explain so much that none of them is ever the weakest.
+        In white noise such poles explain so much that none of them is ever the weakest, and the others are poor without
+        them: these are compared in their own noise.
         """
+        if self.search is not self.plain:
+            return model
         slow = (np.abs(model.p) < TUNING.broad_noise * self.search.region.bin) & ~self._kept(model.p)
         if not slow.any() or self.is_exact(model) or not self._past_of_noise(model):
             return model
         fewer = self.reweighted(self.model(model.p[~slow]))
-        return fewer if self.cost(fewer) < self.cost(model) else model
+        costs = [self.cost(self.in_its_noise(candidate)) for candidate in (fewer, model)]
+        chosen = fewer if costs[0] < costs[1] else model
+        self.whiten((), chosen.losses)
+        return chosen
 
     def grown(
         self, start: ComplexArray, most: int, automatic: bool,
