@@ -14,6 +14,7 @@ from ..._types import Array, Indices
 from ..data.channels import Recording
 from ..regression.free import FreeProjection
 from ..regression.time_rows import FreeRecord
+from ..regression.tuning import TUNING
 from ..search.circumstances import Cause, Finding
 from ..search.modal_search import FreeFit
 from .unequal_noise import experiments_of
@@ -94,8 +95,8 @@ def undriven(fit: FreeFit) -> Indices:
         _STILL * np.sqrt(np.maximum(np.diag(covariance)[n : 2 * n], 0.0)),
         1.0 / max(record.length * record.hold.h for record in rows),
     )
-    tones = []
-    for l in np.flatnonzero((projection.p.imag > 0) & (np.abs(projection.p.real) < still)).tolist():
+    slowest, tones = TUNING.broad_noise * max(record.bin for record in rows), []
+    for l in np.flatnonzero((projection.p.imag > slowest) & (np.abs(projection.p.real) < still)).tolist():
         first = np.arange(projection.inputs)[:, None] * (width // projection.inputs) + np.array([l, n + l])
         places = (2 * n + np.arange(projection.shared.shape[1])[:, None] * width + first.ravel()).ravel()
         residues = projection.shared[first.ravel()].T.ravel()

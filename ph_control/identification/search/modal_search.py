@@ -24,6 +24,7 @@ from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
+from ..regression.elimination import orthogonal, without
 from ..regression.free import Delays, FreeProjection, refine_free
 from ..regression.frequency_rows import FURTHER_TERMS, FreeResponse, Term
 from ..regression.sections import PoleRegion, Sections
@@ -32,7 +33,7 @@ from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Progress
 from ..uncertainty.residual_tests import ljung_box
-from .circumstances import Cause, Finding
+from .circumstances import Cause, Finding, correlations, foretold
 from .criteria import Criteria, least_gain, past_of_noise, stands_out
 from .free_search import FreeModel, FreeSearch, Records, Responses
 from .held_out import foretelling_order
@@ -779,7 +780,7 @@ def _beside_drift(fit: FreeFit, anew: Anew) -> FreeFit:
     if not slow.any() and not any(_leans(*pair) for pair in zip(records, fit.projection.predictions(), strict=True)):
         return fit
     trial = anew(fit.delay, 2, fit.projection.p[~slow])
-    if trial.criteria.bic > fit.criteria.bic - 2 * TUNING.sure:
+    if trial.criteria.bic > fit.criteria.bic - 2 * TUNING.sure or _gain_of_drift(trial) < TUNING.sure:
         return fit
     again = anew(fit.delay, 2, None)
     best = again if again.criteria.bic <= trial.criteria.bic else trial
@@ -792,6 +793,32 @@ def _beside_drift(fit: FreeFit, anew: Anew) -> FreeFit:
     gain = max(best.criteria.loglik - level.criteria.loglik, 0.5 * (fit.criteria.bic - best.criteria.bic))
     finding = Finding(Cause.DRIFT, tuple(drifts), gain)
     return replace(best, findings=(*fit.findings, finding), delay_gain=fit.delay_gain)
+
+
+def _gain_of_drift(fit: FreeFit) -> float:
+    """Log-likelihood by which the drifts of a fit explain more than constants, in noise as coloured as it leaves.
+
+    Less half of what BIC charges.  Noise of slow colour leans by itself.
+    """
+    gain = 0.0
+    for rows, own, predicted in zip(
+        fit.projection.experiments, fit.projection.own, fit.projection.predictions(), strict=True
+    ):
+        if not isinstance(rows, FreeRecord):
+            continue
+        t, residuals = np.arange(float(rows.length)), rows.residuals(predicted)
+        for residual, slope in zip(residuals, own[-2], strict=True):
+            models, variances = foretold(correlations([np.fft.rfft(residual)], [rows.length]))
+            past = np.concatenate([[1.0], -models[_order_of_noise(rows.samples, variances)]])
+            seen = np.convolve(~rows.observed, np.ones(len(past)))[: rows.length] == 0
+            seen[: len(past) - 1] = False
+            lines = np.stack([np.convolve(x, past)[: rows.length][seen] for x in (np.ones(rows.length), t)])
+            drifting = np.convolve(residual + slope * t, past)[: rows.length][seen]
+            squares = [float(np.sum(without(drifting[:, None], orthogonal(lines[:k].T)[0]) ** 2)) for k in (1, 2)]
+            if squares[1] > 0:
+                gain += 0.5 * len(drifting) * float(np.log(squares[0] / squares[1]))
+            gain -= 0.5 * float(np.log(max(rows.samples, 2)))
+    return gain
 
 
 def _with_constants(fit: FreeFit) -> FreeFit:
@@ -807,13 +834,33 @@ def _with_constants(fit: FreeFit) -> FreeFit:
 
 
 def _evidence_of_constants(projection: FreeProjection) -> float:
-    """How much the loss would grow without the constants of the outputs."""
-    covariance = projection.covariance(1.0)
-    pairs = (
-        (own[-1], inner[-1, -1]) for k, outputs in enumerate(projection.own)
-        for own, (inner, _) in zip(outputs.T, projection.own_covariances(k, covariance, 1.0), strict=True)
+    """How much the loss would grow without the constants of the outputs, in noise as slow as they are left with."""
+    covariance, slowness = projection.covariance(1.0), _slowness(projection)
+    triples = (
+        (own[-1], inner[-1, -1], slow) for k, outputs in enumerate(projection.own) for own, (inner, _), slow in zip(
+            outputs.T, projection.own_covariances(k, covariance, 1.0), slowness[k], strict=True
+        )
     )  # fmt: skip
-    return float(sum(value**2 / variance for value, variance in pairs))
+    return float(sum(value**2 / (variance * slow) for value, variance, slow in triples))
+
+
+def _slowness(projection: FreeProjection) -> list[list[float]]:
+    """Of each record and output how many times the variance of a mean is that in white noise, at least 1."""
+    slowness = []
+    for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
+        assert isinstance(rows, FreeRecord)
+        each = []
+        for residual in rows.residuals(predicted):
+            models, variances = foretold(correlations([np.fft.rfft(residual)], [rows.length]))
+            order = _order_of_noise(rows.samples, variances)
+            each.append(max(1.0, float(variances[order] / (1 - models[order].sum()) ** 2)))
+        slowness.append(each)
+    return slowness
+
+
+def _order_of_noise(samples: int, variances: Array) -> int:
+    """The order of an autoregression that BIC prefers."""
+    return int(np.argmin(samples * np.log(variances) + np.log(max(samples, 2)) * np.arange(len(variances))))
 
 
 def _leans(rows: FreeRecord, predicted: NDArray[Any]) -> bool:
@@ -1492,7 +1539,24 @@ class FreePath:
     def improved(self, model: FreeModel, most: int, automatic: bool) -> FreeModel:
         """A model with weak modes relocated and, of an order that is chosen, needless ones dropped."""
         best = self.relocated(model, automatic, most)
-        return self.patched(self.pruned(best), most) if automatic else best
+        return self.without_slow_noise(self.patched(self.pruned(best), most)) if automatic else best
+
+    def without_slow_noise(self, model: FreeModel) -> FreeModel:
+        """A model without its slow poles, where the criterion prefers noise of slow colour to these.
+
+        In white noise such poles explain so much that none of them is ever the weakest, and the others are poor without
+        them: these are compared in their own noise.
+        """
+        if self.search is not self.plain:
+            return model
+        slow = (np.abs(model.p) < TUNING.broad_noise * self.search.region.bin) & ~self._kept(model.p)
+        if not slow.any() or self.is_exact(model) or not self._past_of_noise(model):
+            return model
+        fewer = self.reweighted(self.model(model.p[~slow]))
+        costs = [self.cost(self.in_its_noise(candidate)) for candidate in (fewer, model)]
+        chosen = fewer if costs[0] < costs[1] else model
+        self.whiten((), chosen.losses)
+        return chosen
 
     def grown(
         self, start: ComplexArray, most: int, automatic: bool,
