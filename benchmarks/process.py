@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import linear_sum_assignment
 from scipy.signal import lfilter
 from scipy.stats import chi2
@@ -395,12 +395,9 @@ def one_step(A: Array, B: Array, C: Array, D: Array, K: Array) -> Predict:
 
 
 def riccati_gain(A: Array, C: Array, Q: Array, R: Array, S: Array) -> Array:
-    """Gain of the Kalman filter after many steps of the Riccati equation."""
-    P, K = Q, np.zeros((len(A), len(C)))
-    for _ in range(3000):
-        K = (A @ P @ C.T + S) @ np.linalg.pinv(C @ P @ C.T + R)
-        P = A @ P @ A.T + Q - K @ (A @ P @ C.T + S).T
-    return K
+    """Gain of the Kalman filter."""
+    P = solve_discrete_are(A.T, C.T, Q, R, s=S)
+    return np.asarray(np.linalg.solve(C @ P @ C.T + R, (A @ P @ C.T + S).T).T)
 
 
 def predicting_peers(u: Array, y: Array) -> dict[str, Predict]:

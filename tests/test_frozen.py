@@ -41,7 +41,7 @@ def _results():
         phc.excitation((u, None), 1, dt=0.1).information, *(fit.experiments[0] for fit in fits),
         *(fit.record for fit in fits[2:]), phc.compare((u, y), fits[0], plant, dt=0.1),
         phc.residual_analysis((u, y), fits[0], dt=0.1), phc.order_selection((u, y), 2, dt=0.1),
-        phc.excitation((u, None), 1, dt=0.1), many, many.track(shortest=1), fits[0].stabilisation(1),
+        phc.excitation((u, None), 1, dt=0.1), phc.NoiseModel([[1.0]], 0.1, [[0.5]]), many, many.track(shortest=1), fits[0].stabilisation(1),
         phc.RecordingFitted(1, 0, None, "name", "message"),
         phc.optimal_damping(phc.spring_chain([1.0, 2.0], ground=1.0)),
         phc.UniversalModes(_locked([-0.1 + 1j]), _locked([[1.0 + 0j]]), _locked([2j]), ("1+Z",)),

@@ -158,15 +158,6 @@ class NoiseModel(Frozen):
         """Whether there is neither a colour nor a force, so that the best prediction is the simulation."""
         return self.colours is None and self.forces is None
 
-    def of_plant(self, A: Array, C: Array) -> NoiseModel:
-        """The noise with the discrete states (n, n), and outputs of these (p, n), that forces drive."""
-        if self.forces is not None and len(self.forces) != len(A):
-            raise StructureError(
-                f"the noise has forces on {counted(len(self.forces), 'state')}; the plant has {len(A)}: give them in "
-                "the states of observed_system"
-            )
-        return self if self.forces is None else replace(self, states=(A, C))
-
     def spectrum(self, omega: ArrayLike) -> ComplexArray:
         """Spectral density of the noise of the outputs, forces through the plant included.
 
@@ -247,6 +238,18 @@ class NoiseModel(Frozen):
     def __repr__(self) -> str:
         """The same in brackets."""
         return f"<{type(self).__name__}: {self}>"
+
+
+def through_plant(noise: NoiseModel, A: Array, C: Array) -> NoiseModel:
+    """The noise with the discrete states (n, n), and outputs of these (p, n), that its forces drive."""
+    if noise.forces is None:
+        return noise
+    if len(noise.forces) != len(A):
+        raise StructureError(
+            f"the noise has forces on {counted(len(noise.forces), 'state')}; the plant has {len(A)}: give them in "
+            "the states of observed_system"
+        )
+    return replace(noise, states=(A, C))
 
 
 def sampled_intensity(A: Array, intensity: Array, h: float) -> Array:
