@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import linear_sum_assignment
 from scipy.signal import lfilter
 from scipy.stats import chi2
@@ -378,39 +378,41 @@ def _modes(rng: np.random.Generator, samples: int = 3000) -> tuple[Array, Array]
 
 PREDICTED = {**PROCESS, "modes, noise 0.9": _modes}
 
-Predict = Callable[[Array, Array], Array]
+Matrices = tuple[Array, Array, Array, Array]  # of a predictor, from inputs and outputs to outputs one step ahead
 
 
-def one_step(A: Array, B: Array, C: Array, D: Array, K: Array) -> Predict:
-    """Outputs one step ahead by `x+ = A x + B u + K e`, `y = C x + D u + e`, from rest."""
+def errors_of(predictor: Matrices, u: Array, y: Array) -> Array:
+    """Errors (p, T) one step ahead; the first state is that of the least errors in the beginning."""
+    A, B, C, D = predictor
+    x, signals, errors = np.zeros(len(A)), np.concatenate([u, y]), np.zeros(y.shape)
+    free, state = np.zeros((*y.shape, len(A))), np.eye(len(A))
+    for k in range(u.shape[1]):
+        errors[:, k], free[:, k] = y[:, k] - C @ x - D @ signals[:, k], C @ state
+        x, state = A @ x + B @ signals[:, k], A @ state
+    columns = free[:, :BEGINNING].reshape(-1, len(A))
+    return errors - free @ np.linalg.lstsq(columns, errors[:, :BEGINNING].ravel(), rcond=1e-6)[0]
 
-    def predict(u: Array, y: Array) -> Array:
-        x, predicted = np.zeros(len(A)), np.zeros(y.shape)
-        for k in range(u.shape[1]):
-            predicted[:, k] = C @ x + D @ u[:, k]
-            x = A @ x + B @ u[:, k] + K @ (y[:, k] - predicted[:, k])
-        return predicted
 
-    return predict
+def with_gain(A: Array, B: Array, C: Array, D: Array, K: Array) -> Matrices:
+    """Predictor of `x+ = A x + B u + K e`, `y = C x + D u + e`."""
+    both = np.concatenate([B - K @ D, K], axis=1)
+    return A - K @ C, both, C, np.concatenate([D, np.zeros((len(C),) * 2)], axis=1)
 
 
 def riccati_gain(A: Array, C: Array, Q: Array, R: Array, S: Array) -> Array:
-    """Gain of the Kalman filter after many steps of the Riccati equation."""
-    P, K = Q, np.zeros((len(A), len(C)))
-    for _ in range(3000):
-        K = (A @ P @ C.T + S) @ np.linalg.pinv(C @ P @ C.T + R)
-        P = A @ P @ A.T + Q - K @ (A @ P @ C.T + S).T
-    return K
+    """Gain of the Kalman filter."""
+    P = solve_discrete_are(A.T, C.T, Q, R, s=S)
+    return np.asarray(np.linalg.solve(C @ P @ C.T + R, (A @ P @ C.T + S).T).T)
 
 
-def predicting_peers(u: Array, y: Array) -> dict[str, Predict]:
+def predicting_peers(u: Array, y: Array) -> dict[str, Matrices]:
     """Predictors of subspace methods at every order up to `MOST`, by name and order."""
     import pandas as pd
     from nfoursid.nfoursid import NFourSID
     from sippy_unipi import system_identification
 
     logging.disable(logging.WARNING)
-    predictors: dict[str, Predict] = {}
+    predictors: dict[str, Matrices] = {}
     names = [f"u{k}" for k in range(len(u))], [f"y{k}" for k in range(len(y))]
     frame, p = pd.DataFrame(np.concatenate([u, y]).T, columns=[*names[0], *names[1]]), len(y)
     for order in range(1, MOST + 1):
@@ -420,7 +422,7 @@ def predicting_peers(u: Array, y: Array) -> dict[str, Predict]:
                     y, u, method, SS_fixed_order=order, SS_f=HORIZON, SS_p=HORIZON, tsample=1.0, SS_D_required=True
                 )
                 matrices = (np.asarray(getattr(model, name), float) for name in "ABCDK")
-                predictors[f"{method} {order}"] = one_step(*matrices)
+                predictors[f"{method} {order}"] = with_gain(*matrices)
             except Exception:  # a method that fails at this order has no model
                 continue
         try:
@@ -428,7 +430,7 @@ def predicting_peers(u: Array, y: Array) -> dict[str, Predict]:
             subspace.subspace_identification()
             model, noise = subspace.system_identification(rank=order)
             K = riccati_gain(model.a, model.c, noise[p:, p:], noise[:p, :p], noise[p:, :p])
-            predictors[f"nfoursid {order}"] = one_step(model.a, model.b, model.c, model.d, K)
+            predictors[f"nfoursid {order}"] = with_gain(model.a, model.b, model.c, model.d, K)
         except Exception:
             continue
     return predictors
@@ -443,17 +445,6 @@ def whiteness(errors: Array, lags: int = 20) -> float:
     return float(min(1.0, len(errors) * min(p_values)))
 
 
-def errors_of_predictor(result: Any, u: Array, y: Array) -> Array:
-    """Errors of `result.predictor` on other data, without the constants of the fit."""
-    predictor, offset = result.predictor, np.reshape(result.offsets, (-1, len(y)))[0][:, None]
-    A, B, C, D = (np.asarray(getattr(predictor, name)) for name in "ABCD")
-    x, signals, errors = np.zeros(len(A)), np.concatenate([u, y - offset]), np.zeros(y.shape)
-    for k in range(u.shape[1]):
-        errors[:, k] = signals[len(u) :, k] - C @ x - D @ signals[:, k]
-        x = A @ x + B @ signals[:, k]
-    return errors
-
-
 def predict_table(names: Sequence[str], seeds: int, with_peers: bool) -> None:
     """Print a line for each record: percent of the outputs that are predicted, and p-values of white errors."""
     print(f"{'record':26} {'seed':>4} {'simulated':>9} {'one step':>8} {'white 1':>8} {'white 2':>8}  best of others")
@@ -466,7 +457,10 @@ def predict_table(names: Sequence[str], seeds: int, with_peers: bool) -> None:
             early = bool(np.any(result.delay < 0))  # in a loop noise reaches the input, which then seems to be late
             if early:
                 result = phc.pem(squeezed(u[:, first], y[:, first]), dt=1.0, delay=0)
-            errors = [errors_of_predictor(result, u[:, part], y[:, part])[:, BEGINNING:] for part in (first, second)]
+            predictor, offset = result.predictor, np.reshape(result.offsets, (-1, len(y)))[0][:, None]
+            matrices: Any = tuple(np.asarray(getattr(predictor, name)) for name in "ABCD")
+            parts = (first, second)
+            errors = [errors_of(matrices, u[:, part], y[:, part] - offset)[:, BEGINNING:] for part in parts]
             later = y[:, second][:, BEGINNING:]
             fit = percent(later, later - errors[1])
             simulated = percent(y[:, second], foretold(result, u[:, second], y[:, second]))
@@ -476,8 +470,11 @@ def predict_table(names: Sequence[str], seeds: int, with_peers: bool) -> None:
                 centred = [each - mean for each, mean in zip((u, y), means, strict=True)]
                 models = predicting_peers(*(each[:, first] for each in centred))
                 with np.errstate(all="ignore"):
-                    predicted = {key: model(*(each[:, second] for each in centred)) for key, model in models.items()}
-                    fits = {key: percent(later - means[1], each[:, BEGINNING:]) for key, each in predicted.items()}
+                    each_error = {
+                        key: errors_of(model, *(each[:, second] for each in centred))[:, BEGINNING:]
+                        for key, model in models.items()
+                    }
+                    fits = {key: percent(later, later - error) for key, error in each_error.items()}
                 for method in ("nfoursid", "N4SID", "CVA"):
                     known = {key: value for key, value in fits.items() if key.startswith(method) and value > -np.inf}
                     top = max(known, key=lambda key: known[key], default="")

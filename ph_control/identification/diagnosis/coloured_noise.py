@@ -198,7 +198,8 @@ def fitted_noise(
             continue
         colours[output, : len(b) - 1] = -b[1:] / b[0]
         remaining = [
-            lfilter(b / b[0], 1.0, data.residuals[output] / data.noise_scale)[len(b) - 1 :] for data in experiments
+            lfilter(b / b[0], 1.0, data.measured[output] - data.predicted[output])[len(b) - 1 :] / data.noise_scale
+            for data in experiments
         ]
         known = np.concatenate(remaining)
         known = known[~np.isnan(known)]

@@ -14,7 +14,7 @@ from ..._units import with_unit
 from ...exceptions import NoSuchQuantityError, StructureError
 from ...modal.discretization import Hold
 from ..uncertainty.kalman import KalmanFilter, NoisyPlant, continuous_gain, foretold_colour, growing
-from ..uncertainty.noise_model import NoiseModel
+from ..uncertainty.noise_model import NoiseModel, through_plant
 
 _SAME_STEP = 0.01  # relative difference of steps that are the same, as of the instants of a record
 _SAME_STATES = 1e-6  # relative difference up to which two systems are one in other states
@@ -131,7 +131,7 @@ class Foretelling:
             raise StructureError(f"the noise is of {noise.outputs} outputs, the fit of {len(self.output_labels)}")
         if noise.forces is None:
             return noise
-        return noise.of_plant(self._step(noise.dt), self._matrices[2])
+        return through_plant(noise, self._step(noise.dt), self._matrices[2])
 
     @cached_property
     def _noisy_plant(self) -> NoisyPlant:

@@ -164,18 +164,6 @@ class NoiseModel(Frozen):
         """Whether there is neither a colour nor a force, so that the best prediction is the simulation."""
         return self.colours is None and self.forces is None
 
-    def of_plant(self, A: Array, C: Array) -> NoiseModel:
-        """The noise with the discrete states (n, n), and outputs of these (p, n), that forces drive."""
-        if self.apart and self.states is not None:
-            tied, error = turned(*self.states, A, C)
-            return self if error > _SAME_STATES else self._turned(tied, A, C)
-        if self.forces is not None and len(self.forces) != len(A):
-            raise StructureError(
-                f"the noise has forces on {counted(len(self.forces), 'state')}; the plant has {len(A)}: give them in "
-                "the states of observed_system"
-            )
-        return self if self.forces is None else replace(self, states=(A, C))
-
     def _turned(self, T: Array, A: Array, C: Array) -> NoiseModel:
         """The noise in the states of a plant, which are `T` times its own."""
         assert self.forces is not None
@@ -286,6 +274,24 @@ def turned(A: Array, C: Array, of: Array, seen: Array) -> tuple[Array, float]:
             D[near, k] = np.vdot(second[:, near], first[:, k]) / max(np.vdot(second[:, near], second[:, near]).real, _TINY)
     T = np.asarray((W @ D @ np.linalg.inv(V)).real)
     return T, float(np.linalg.norm(seen @ T - C) / max(np.linalg.norm(C), _TINY))
+
+
+def through_plant(noise: NoiseModel, A: Array, C: Array) -> NoiseModel:
+    """The noise with the discrete states (n, n), and outputs of these (p, n), that its forces drive.
+
+    One with states of its own has these where they are none of the plant.
+    """
+    if noise.forces is None:
+        return noise
+    if noise.apart and noise.states is not None:
+        tied, error = turned(*noise.states, A, C)
+        return noise if error > _SAME_STATES else noise._turned(tied, A, C)
+    if len(noise.forces) != len(A):
+        raise StructureError(
+            f"the noise has forces on {counted(len(noise.forces), 'state')}; the plant has {len(A)}: give them in "
+            "the states of observed_system"
+        )
+    return replace(noise, states=(A, C))
 
 
 def sampled_intensity(A: Array, intensity: Array, h: float) -> Array:

@@ -45,7 +45,7 @@ def sampled_plant(A: Array, B: Array, C: Array, D: Array, hold: Hold, delay: Arr
         # what an input does to the state at its own sample is no part of the state
         at_once = part.driven.get(-1, np.zeros((n, m)))
         whole_A[own, own], whole_C[rows, own] = step, C[rows]
-        whole_B[own] = step @ at_once + part.driven.get(0, 0.0)
+        whole_B[own] = step @ at_once + part.driven.get(0, np.zeros((n, m)))
         through[rows] = C[rows] @ at_once + part.direct.get(0, 0.0) * D[rows]
         for k in range(1, longest + 1):
             register = slice(count + (k - 1) * m, count + k * m)
@@ -53,8 +53,8 @@ def sampled_plant(A: Array, B: Array, C: Array, D: Array, hold: Hold, delay: Arr
             whole_C[rows, register] = part.direct.get(k, 0.0) * D[rows]
     if longest:
         whole_B[count : count + m] = np.eye(m)
-        k = np.arange((longest - 1) * m)
-        whole_A[count + m + k, count + k] = 1.0
+        earlier = count + np.arange((longest - 1) * m)
+        whole_A[earlier + m, earlier] = 1.0
     return SampledPlant(whole_A, whole_B, whole_C, through, n, len(late))
 
 
@@ -99,7 +99,8 @@ class _Taps:
                 whole - 2: part * linear * ahead,
             }
         direct = {whole: 1 - part * linear, whole - 1: part * linear} if fed else {}
-        taps = cls(step, *({k: v for k, v in each.items() if np.any(v)} for each in (driven, direct)))
+        used = {k: matrix for k, matrix in driven.items() if matrix.any()}
+        taps = cls(step, used, {k: share for k, share in direct.items() if share})
         if min(taps.driven, default=0) < -1 or min(taps.direct, default=0) < 0:
             raise StructureError(
                 f"an output comes {-delay:.6g} before the response to the inputs, which at a step of {hold.h:.6g} and "

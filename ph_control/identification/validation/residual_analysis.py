@@ -334,12 +334,14 @@ def residual_analysis(
 
     Notes
     -----
-    *Autocorrelation.*  Pairs of observed samples only.  What was fitted to this record (the initial state; for a
+    *Autocorrelation.* Pairs of observed samples only. What was fitted to this record (the initial state; for a
     `PEMResult` on its own record all its parameters) takes noise out of the residuals: mean and variance of their
     correlation are those of white noise without these directions, also in the Ljung-Box statistic, which is the
-    classical one where nothing was fitted and nothing is missing (Ljung and Box, Biometrika 65, 1978).  Like
-    that one it is somewhat too strict on short records: of records of 100 white samples it refuses, with 10 lags, 2.7 %
-    where 1 % are meant.  Beyond 6e7 numbers, samples times parameters, the correction is left out.
+    classical one where nothing was fitted and nothing is missing (Ljung and Box, Biometrika 65, 1978). Like that one
+    it is somewhat too strict on short records: of records of 100 white samples it refuses, with 10 lags, 2.7 % where
+    1 % are meant. Where the colour of the noise was fitted to this record, each of its coefficients takes a degree of
+    freedom; as their number was chosen too, residuals look rather whiter than they are. Beyond 6e7 numbers, samples
+    times parameters, the correction is left out.
 
     *Correlation with the input.*  The band is `sum_m c_e(m) c_u(m)` with both autocorrelations.  The p-values are those
     of F tests that regress the residuals on shifted inputs: at lags 0 to L for a response, and beside these at lags -L
@@ -488,6 +490,7 @@ def _residual_data(
     return ResidualData(
         without_peaks(joined) if spectral else joined, u, np.concatenate(series(shared)), lags,
         tuple(len(rows) for rows in series(shared)), tuple(series(local)), level,
+        max(answer.past for answer in answers),
     ), unit  # fmt: skip
 
 

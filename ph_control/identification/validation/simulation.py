@@ -46,12 +46,13 @@ class Simulation:
     `output` has shape (T,), or is complex of shape (K,) for a frequency response; (p, T) or (p, m, K) of several
     channels, of which there are no directions.  `directions()` are its derivatives
     by all that was estimated from these data: noise along them is missing from the residuals.  `own` tells the data
-    that the model itself was fitted to.
+    that the model itself was fitted to, and `past` how many coefficients of the noise foretell it there.
     """
 
     output: NDArray[Any]
     directions: Callable[[], Directions]
     own: bool = False
+    past: int = 0
 
 
 @dataclass(frozen=True)
@@ -284,15 +285,14 @@ def _ahead(answer: Simulation, model: PEMResult, record: Kind, rules: Rules) -> 
             .reshape(columns.T.shape).T
             for columns in (each.shared, each.local)
         )  # fmt: skip
-        rest, order = np.nan_to_num((y - simulated)[0]), max(model.noise.orders) if model.noise else 0
-        past = np.array([np.pad(rest, (k, 0))[: len(rest)] for k in range(1, 1 + order * answer.own)])
-        return Directions(np.concatenate([shared, past.reshape(-1, len(rest)).T], axis=1), local)
+        return Directions(shared, local)
 
+    past = max(model.noise.orders) * answer.own if model.noise else 0
     moving = rules.initial_state != "zero" or not data.driven
     predicted = ahead_of_growth(model, u, y, data.dt, horizon, moving) if grows(model) else (
         ahead(model, simulated, y, data.dt, horizon)
     )  # fmt: skip
-    return Simulation(shaped(predicted), directions, answer.own)
+    return Simulation(shaped(predicted), directions, answer.own, past)
 
 
 def _own_directions(model: PEMResult, place: int) -> Directions:
