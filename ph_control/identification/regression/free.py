@@ -38,7 +38,15 @@ FreeRows = FreeRecord | FreeResponse | FreeWindow
 
 Rows = TypeVar("Rows", FreeRecord, FreeResponse)  # what may have a delay
 
-# --- delays of the outputs --------------------------------------------------------------------------------------------
+# --- delays -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """Times by which `outputs` (p,) come later than the response to the inputs, and `inputs` (m,) act later."""
+
+    outputs: Array
+    inputs: Array
 
 
 @dataclass(frozen=True)
