@@ -47,6 +47,7 @@ def pem(
     ports: Any = None,
     real_poles: int | str = "auto",
     delay: Any = "auto",
+    input_delay: Any = "auto",
 ) -> PEMResult:
     """Fit modes and real poles to recordings or frequency responses, by prediction-error minimisation.
 
@@ -114,6 +115,10 @@ def pem(
         Time by which outputs come later than the response to the inputs, or earlier where it is negative: that of an
         anti-aliasing filter, of sampling one channel after the other, or dead time.  'auto' estimates one of all
         outputs, or one of each, where a structure or the first samples of the answer show it.
+    input_delay : 'auto', or float, or sequence of float, one for each input
+        Dead times of several inputs: the time by which each acts later than it was recorded, in whole samples of the
+        recordings.  'auto' finds those that differ between inputs where `delay` is 'auto' as well; what all inputs have
+        in common is a `delay`.  0 for none.
 
     Returns
     -------
@@ -183,7 +188,7 @@ def pem(
     options = Options.checked(
         channels, order=order, method=method, intersample=intersample, offset=offset, max_order=max_order,
         criterion=criterion, callback=callback, moving=initial_state == "estimate", weighted=weights is not None,
-        real_poles=real_poles, delay=delay, reachable=representation == "controllable",
+        real_poles=real_poles, delay=delay, input_delay=input_delay, reachable=representation == "controllable",
     )  # fmt: skip
     request = request_of(channels, structure, ports, quantity, options)
     start = starting_poles(initial_guess, channels, options)

@@ -159,7 +159,9 @@ def _groups(scan: DeadTimeScan, noise: tuple[Array, ...]) -> list[_Group]:
     groups = []
     for (outputs, _), parts in blocks.items():
         ends = np.cumsum([0, *(len(targets) for targets, _ in parts)]).tolist()
-        targets, late = (np.concatenate(arrays, axis=axis) for arrays, axis in zip(zip(*parts, strict=True), (0, -1), strict=True))
+        targets, late = (
+            np.concatenate(arrays, axis=axis) for arrays, axis in zip(zip(*parts, strict=True), (0, -1), strict=True)
+        )
         groups.append(_Group(np.frombuffer(outputs, int), targets, late, [slice(*pair) for pair in pairwise(ends)]))
     return groups
 
@@ -261,4 +263,8 @@ def _gram(columns: Array) -> Array:
 
 def _rest(columns: Array, targets: Array) -> Array:
     """What columns (k, N) do not explain of targets (N, q)."""
-    return np.asarray(targets - columns.T @ np.linalg.solve(_gram(columns), columns @ targets)) if len(columns) else targets
+    return (
+        np.asarray(targets - columns.T @ np.linalg.solve(_gram(columns), columns @ targets))
+        if len(columns)
+        else targets
+    )

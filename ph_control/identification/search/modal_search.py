@@ -299,7 +299,10 @@ def free_fit(
     given = [np.zeros(n) if values is None else values for n, values in zip(shape, (delay, input_delay), strict=True)]
 
     def path_for(
-        channels: Experiments, terms: int = int(bool(offset)), hold: str = intersample, late: Lateness = Lateness(*given)
+        channels: Experiments,
+        terms: int = int(bool(offset)),
+        hold: str = intersample,
+        late: Lateness = Lateness(*given),
     ) -> FreePath:
         return FreePath.of(
             channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles, method=method,
