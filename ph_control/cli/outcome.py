@@ -36,7 +36,7 @@ _KEYWORDS = (
     "input", "output", "time", "dt", "delimiter", "decimal", "order", "max_order", "method", "intersample",
     "initial_state", "offset", "quantity", "representation", "criterion", "frequency", "magnitude", "phase", "real",
     "imag", "frequency_unit", "magnitude_unit", "phase_unit", "weights", "header", "overwrite", "structure", "ports",
-    "delay",
+    "delay", "input_delay",
 )  # fmt: skip
 _KEYWORD = re.compile(rf"\b({'|'.join(_KEYWORDS)})=(?:'([^']*)'|([\w.+-]*\w)?)")
 

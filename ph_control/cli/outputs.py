@@ -21,7 +21,7 @@ _FIT = (
 )  # fmt: skip
 _MODAL = (
     "poles", "residues", "feedthrough", "shapes", "participation", "shapes_scaled", "phase_collinearity",
-    "noise_variance", "quantities", "delay",
+    "noise_variance", "quantities", "delay", "input_delay",
 )  # fmt: skip
 
 

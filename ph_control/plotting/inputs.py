@@ -51,18 +51,17 @@ def is_fit(given: Any) -> bool:
 
 
 def as_measured(given: Any, response: ComplexArray, omega: Array) -> ComplexArray:
-    """Response (p, m, K) of a model as it was measured: of a result on its background, and with its delay.
+    """Response (p, m, K) of a model as it was measured: of a result on its background, and with its delays.
 
     Of a fit to responses that were estimated with a window, what the window makes of it.
     """
     if getattr(given, "window", None) is not None and hasattr(given, "estimated_response"):
         response = given.estimated_response(omega)
-    background, delay = (getattr(given, name, None) for name in ("background", "delay"))
+    background = getattr(given, "background", None)
     if background is not None:
         response = response + background.response(omega)
-    if delay is not None and np.any(delay):
-        response = response * np.exp(-1j * np.multiply.outer(np.asarray(delay), omega))[:, None]
-    return response
+    late = np.add.outer(*(np.asarray(getattr(given, name, np.zeros(1))) for name in ("delay", "input_delay")))
+    return response * np.exp(-1j * np.multiply.outer(late, omega)) if late.any() else response
 
 
 def measurements_of(model: Any, data: Any) -> list[Any]:

@@ -99,6 +99,10 @@ def add_fitted(parser: Parser) -> None:
         "estimated where the data show it)",
     )  # fmt: skip
     model.add_argument(
+        "--input-delay", type=delays, default="auto", metavar="LIST",
+        help="dead time of each of several inputs, in whole samples (default auto: estimated where the data show it)",
+    )  # fmt: skip
+    model.add_argument(
         "--representation", choices=REPRESENTATIONS, default="observable",
         help="allow free motion of modes with zero weight (observable, default) or not (controllable)",
     )  # fmt: skip
@@ -121,7 +125,7 @@ def keywords_of(options: Namespace) -> dict[str, Any]:
             raise StructureError(f"--guess: {error}") from None
     same = (
         "order", "method", "intersample", "initial_state", "offset", "quantity", "representation", "criterion",
-        "max_order", "structure", "ports", "delay",
+        "max_order", "structure", "ports", "delay", "input_delay",
     )  # fmt: skip
     return {name: getattr(options, name) for name in same} | {"initial_guess": guess, "rng": options.seed}
 

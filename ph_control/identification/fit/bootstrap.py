@@ -63,6 +63,8 @@ class Bootstrap(Frozen):
         What bands of gain and phase have beside the modes: that of the result.
     delay : ndarray, shape (p,)
         Delay of each output: that of the result, which refits keep.
+    input_delay : ndarray, shape (m,)
+        Dead time of each input, likewise.
 
     Notes
     -----
@@ -78,6 +80,7 @@ class Bootstrap(Frozen):
     failed: int
     background: ResponseBackground | None
     delay: Array
+    input_delay: Array
 
     def __len__(self) -> int:
         return len(self.poles) - self.failed
@@ -181,7 +184,7 @@ class Bootstrap(Frozen):
         kept, n = self._kept, self._modes
         shapes = self.residues[kept][:, :n, :, 0] if self.residues.shape[3] else np.zeros((len(self), n, 0), complex)
         estimates = self.poles[kept], self.residues[kept], self.feedthrough[kept]
-        return ModalSamples(*estimates, shapes, self.background, self.delay)
+        return ModalSamples(*estimates, shapes, self.background, self.delay, self.input_delay)
 
 
 class Resampled:
@@ -255,7 +258,8 @@ class Resampled:
         each = [_parts(_drawn(self, *estimate)) if estimate else nothing for estimate in estimates]
         poles, residues, through, r, states, offsets = (np.stack(parts) for parts in zip(*each, strict=True))
         failed = sum(not estimate for estimate in estimates)
-        return Bootstrap(poles, residues, through, r, states, offsets, failed, self.background, self.delay)
+        late = self.delay, self.input_delay
+        return Bootstrap(poles, residues, through, r, states, offsets, failed, self.background, *late)
 
 
 def _parts(result: Any) -> tuple[NDArray[Any], ...]:
@@ -316,7 +320,7 @@ class _Refit:
         )
         path = FreePath.of(
             channels, result.quantities, result.intersample, terms, result._moving, method=result.method,
-            delay=result.delay,
+            late=result._lateness,
         )  # fmt: skip
         if isinstance(path.search, Responses):
             path.search = replace(path.search, data=_on_background(path.search.data, result))

@@ -30,7 +30,7 @@ from ..diagnosis.unequal_noise import in_equal_noise
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
 from ..excitation.excitation import examine
 from ..innovations.forces import KINDS, beside_forces
-from ..regression.free import FreeProjection, GivenResidues, refine_free
+from ..regression.free import FreeProjection, GivenResidues, Lateness, refine_free
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.frequency_rows import FreeResponse
 from ..regression.modal_regressors import output_weight
@@ -64,6 +64,7 @@ from .strong_forces import beside_strong_forces
 _MOST = 20, 40  # modes of records, and of responses, which may be those of networks
 _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it
 _COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
+_WHOLE = 1e-6  # samples, or their share: what a dead time may differ from whole samples by
 _HALF = 0.05  # of half a sample: what a delay may differ from it by
 _OPPOSED = 0.7  # cosine of the angle within which a residue points against the force
 _ROUNDS = 3  # of fits and of the noise of experiments in turn
@@ -110,6 +111,7 @@ class Options:
     weighted: bool
     real_poles: int | str
     delay: Array | None
+    input_delay: Array | None
     reachable: bool
     noise: str = "auto"
 
@@ -129,12 +131,15 @@ class Options:
             real_poles = _checks.whole_number("real_poles", real_poles, 0)
         elif real_poles != "auto":
             raise StructureError(f"real_poles is {real_poles!r}; it must be 'auto' or a whole number of at least 0")
-        delay = checked_delay(options["delay"], len(channels[0].output_labels))
+        late = {
+            "delay": checked_delay(options["delay"], len(channels[0].output_labels)),
+            "input_delay": checked_input_delay(options["input_delay"], channels),
+        }
         reporter(most, options["callback"])
         refuse_still(channels, options["moving"])
         if options["method"] == "euler" and options["intersample"] == "auto":
             options["intersample"] = "zoh"
-        return cls(**{**options, "order": order, "max_order": most, "real_poles": real_poles, "delay": delay})
+        return cls(**{**options, "order": order, "max_order": most, "real_poles": real_poles, **late})
 
     @property
     def largest(self) -> int:
@@ -184,7 +189,7 @@ def _of_modes_and_inputs(
         return partial(
             free_fit, channels, quantities=request.quantities, intersample=options.intersample, offset=options.offset,
             max_order=options.max_order, criterion=options.criterion, weighted=options.weighted,
-            real_poles=options.real_poles, method=options.method, delay=options.delay,
+            real_poles=options.real_poles, method=options.method, delay=options.delay, input_delay=options.input_delay,
             white=options.noise in ("white", *KINDS), beside=partial(_in_noise_of, options.noise),
             reports=reporter(options.largest, options.callback),
         )  # fmt: skip
@@ -204,8 +209,8 @@ def _of_modes_and_inputs(
         latest.free, findings=(*latest.findings, *latest.free.findings, *_about_order(latest.free, order, options))
     )
 
-    def with_delay(delay: Array) -> FreeFit:
-        return search(order, start=start, moving=moving, delay=delay)
+    def with_delay(late: Lateness) -> FreeFit:
+        return search(order, start=start, moving=moving, delay=late.outputs, input_delay=late.inputs)
 
     result = under_either_hold(free, request, findings, with_delay)
     while options.reachable and result.success and 0 < np.sum(result.kappa > 0) < result.order:
@@ -357,12 +362,49 @@ def checked_delay(value: Any, outputs: int) -> Array | None:
     return np.broadcast_to(delays, outputs).copy()
 
 
+def checked_input_delay(value: Any, channels: Channels) -> Array | None:
+    """Check dead times that were given, one for each input, in whole samples; None where they are left to the data."""
+    if isinstance(value, str):
+        _checks.choice("input_delay", value, ("auto",))
+        return None
+    times, inputs = _checks.real_array("input_delay", value), len(channels[0].input_labels)
+    if times.shape not in ((), (inputs,)):
+        raise StructureError(
+            f"input_delay has shape {times.shape}; it must be 'auto', a number, or one for each of the {inputs} inputs"
+        )
+    times = np.broadcast_to(times, inputs).copy()
+    if not times.any():
+        return times
+    if inputs == 1:
+        raise StructureError(f"input_delay is {times[0]:.6g} with one input; what all inputs have in common is a delay")
+    if times.min() < 0:
+        raise StructureError(f"input_delay has {times.min():.6g}; an input may act later than recorded, not earlier")
+    for data in channels:
+        if not isinstance(data, Recording):
+            raise StructureError(
+                "input_delay is of recordings in time; multiply a response by exp(1j omega input_delay) instead"
+            )
+        samples = times / data.dt
+        worst = int(np.argmax(np.abs(samples - np.rint(samples))))
+        if abs(samples[worst] - np.rint(samples[worst])) > _WHOLE * max(1.0, samples[worst]):
+            raise StructureError(
+                f"input_delay has {times[worst]:.6g}, {samples[worst]:.6g} samples of {data.dt:.6g}; it must be whole "
+                "samples: round it, and leave the rest to delay"
+            )
+        if 2 * samples.max() > data.samples:
+            raise StructureError(
+                f"input_delay has {times.max():.6g}, {samples.max():.0f} samples of a record of {data.samples}; at most "
+                "half of a record may be left out"
+            )
+    return times
+
+
 def begin_at_rest(channels: Channels) -> bool:
     """Tell whether all experiments are recordings that begin at rest, by what is seen of the outputs."""
     return all(isinstance(data, Recording) and data.begins_at_rest for data in channels)
 
 
-WithDelay = Callable[[Array], FreeFit]  # searches in rows with a delay of each output
+WithDelay = Callable[[Lateness], FreeFit]  # searches in rows with these delays
 
 
 def under_either_hold(
@@ -507,7 +549,7 @@ def _freely(best: _Chosen, request: Request) -> _Chosen:
 
 def _searched_anew(late: FreeFit, request: Request, with_delay: WithDelay | None) -> _Chosen:
     """The structure in rows with delays, after a search in these: modes too many may have stood for the delay."""
-    anew = late if with_delay is None else with_delay(late.delay[_places(late)])
+    anew = late if with_delay is None else with_delay(Lateness(late.delay[_places(late)], late.input_delay))
     if anew.interrupted:
         raise KeyboardInterrupt
     anew = replace(anew, findings=late.findings, delay_gain=late.delay_gain).with_delay_open(True)
@@ -740,6 +782,7 @@ def _judged(
     delays = 0 if fit.delays is None else fit.delays.count
     extra = fit.parameters - delays - (len(free.projection.x) + int(free.projection.shown.sum()))
     unknowns = free.unknowns + min(0, extra) + delays + len(free.scales)
+    unknowns += sum(finding.cause is Cause.INPUT_DELAY for finding in free.findings)
     delay, delay_stderr = _delays(fit, free)
     predicted = [(experiment.record, experiment.predicted) for experiment in experiments]
     counts, variances = _variances(experiments, free)
@@ -802,6 +845,7 @@ def _judged(
         intersample="zoh" if free.per_entry else free.intersample,
         delay=delay,
         delay_stderr=delay_stderr,
+        input_delay=free.input_delay,
         method=free.method,
         blind=bool(blind),
         noise=fitted_noise(experiments, noise_variance, filters, spare / samples)

@@ -49,6 +49,7 @@ def pem(
     ports: Any = None,
     real_poles: int | str = "auto",
     delay: Any = "auto",
+    input_delay: Any = "auto",
     noise: str = "auto",
     window: Any = None,
 ) -> PEMResult:
@@ -118,6 +119,10 @@ def pem(
         Time by which outputs come later than the response to the inputs, or earlier where it is negative: that of an
         anti-aliasing filter, of sampling one channel after the other, or dead time.  'auto' estimates one of all
         outputs, or one of each, where a structure or the first samples of the answer show it.
+    input_delay : 'auto', or float, or sequence of float, one for each input
+        Dead times of several inputs: the time by which each acts later than it was recorded, in whole samples of the
+        recordings.  'auto' finds those that differ between inputs where `delay` is 'auto' as well; what all inputs have
+        in common is a `delay`.  0 for none.
     noise : {'auto', 'white', 'correlated', 'coloured', 'forces'}
         What is beside the response to the inputs: white noise of each output, with one covariance of all outputs,
         or coloured, an autoregression of each; or forces that nobody measured, and noise of recorded inputs, which
@@ -194,7 +199,8 @@ def pem(
     options = Options.checked(
         channels, order=order, method=method, intersample=intersample, offset=offset, max_order=max_order,
         criterion=criterion, callback=callback, moving=initial_state == "estimate", weighted=weights is not None,
-        real_poles=real_poles, delay=delay, reachable=representation == "controllable", noise=noise,
+        real_poles=real_poles, delay=delay, input_delay=input_delay, reachable=representation == "controllable",
+        noise=noise,
     )  # fmt: skip
     request = request_of(channels, structure, ports, quantity, options)
     start = starting_poles(initial_guess, channels, options)

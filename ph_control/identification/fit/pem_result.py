@@ -28,6 +28,7 @@ from ..data.experiments import as_channels
 from ..data.time_record import InTime
 from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..innovations.ambient import orders_of
+from ..regression.free import Lateness
 from ..regression.free_prediction import (
     FittedChannels,
     estimated_motion,
@@ -127,6 +128,9 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
         Time by which each output comes later than the response to the inputs, 0 where none was found, and its standard
         error: 0 of a delay that was given, NaN of one that is known to a sample only.  Predictions have it, `system`
         not.
+    input_delay : ndarray, shape (m,)
+        Time by which each of several inputs acts later than it was recorded, whole samples; 0 where no dead time was
+        found.  Beside `delay`, and as this in predictions only.
     system : PortHamiltonian or control.StateSpace
         The identified model.
     natural_frequencies, damping_ratios : ndarray, shape (n,)
@@ -177,14 +181,16 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
     intersample: str
     delay: Array = field(default_factory=lambda: np.zeros(1))
     delay_stderr: Array = field(default_factory=lambda: np.zeros(1))
+    input_delay: Array = field(default_factory=lambda: np.zeros(1))
     method: str = "exact"
     blind: bool = False
     noise: NoiseModel | None = None
     stderr: Mapping[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
-        for name in ("delay", "delay_stderr"):
-            value = np.array(np.broadcast_to(getattr(self, name), len(self.output_labels)), float)
+        outputs, inputs = len(self.output_labels), len(self.input_labels)
+        for name, count in (("delay", outputs), ("delay_stderr", outputs), ("input_delay", inputs)):
+            value = np.array(np.broadcast_to(getattr(self, name), count), float)
             object.__setattr__(self, name, _checks.readonly(value))
         n, count, shape = self.order, len(self.poles), self.residues.shape
         deviation = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
@@ -379,12 +385,12 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
             return self.observed_system
 
     def with_delay(self, pade: int = 3) -> ct.StateSpace:
-        """`observed_system` with the delay of each output, by a rational approximation.
+        """`observed_system` with the delays of outputs and inputs, by a rational approximation.
 
         Parameters
         ----------
         pade : int
-            Order of the approximation of Pade, and number of states for each output with a delay.
+            Order of the approximation of Pade, and number of states for each output or input with a delay.
 
         Returns
         -------
@@ -418,11 +424,10 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
                 f"{name!r} comes {-self.delay[early[0]]:.3g} before the response to the inputs, and a system has no "
                 "negative delay: shift the inputs of the record, or use observed_system"
             )
-        parts = [
-            ct.ss(ct.tf(*ct.pade(late, order))) if late else ct.ss([], [], [], [[1.0]]) for late in self.delay.tolist()
-        ]
         plant = self.observed_system
-        delayed = ct.ss(ct.append(*parts) * plant)
+        delayed = ct.ss(_late(self.delay, order) * plant)
+        if self.input_delay.any():
+            delayed = ct.ss(delayed * _late(self.input_delay, order))
         A, B, C, D = delayed.A, delayed.B, delayed.C, delayed.D
         names = {"inputs": list(plant.input_labels), "outputs": list(plant.output_labels)}
         return with_unit(ct.StateSpace(A, B, C, D, remove_useless_states=False, **names), self.time_unit)
@@ -496,7 +501,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
             shaped = ModeShapes.of(modes.ravel(), of_modes.reshape(-1, p, m), self.quantities, self._scaling)
             shapes = shaped.shapes.reshape(len(draws), self.order, p)
         through = draws[:, 2 * n + 2 * size :].reshape(len(draws), p, m)
-        return ModalSamples(poles, residues, through, shapes, self.background, self.delay)
+        return ModalSamples(poles, residues, through, shapes, self.background, self.delay, self.input_delay)
 
     def sample_systems(self, k: int, rng: Any = None) -> list[Any]:
         """Systems of models drawn as by `sample`, for controllers that must do for all of them.
@@ -563,7 +568,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
         else:
             rows = orders_about(
                 records, self.poles, most, quantities=self.quantities, intersample=self.intersample,
-                offset=bool(self.offsets.any()), moving=self._moving, method=self.method, delay=self.delay,
+                offset=bool(self.offsets.any()), moving=self._moving, method=self.method, late=self._lateness,
             )  # fmt: skip
         return [
             (self.poles[: self.order], self.shapes) if len(poles) == self.order
@@ -575,6 +580,23 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
         ]  # fmt: skip
 
     # --- prediction ------------------------------------------------------------------------------------------------
+
+    @property
+    def _lateness(self) -> Lateness:
+        """Delays of outputs and inputs."""
+        return Lateness(self.delay, self.input_delay)
+
+    @property
+    def _latest(self) -> Array:
+        """Time (p,) by which each output comes later than the latest of its inputs."""
+        return self.delay + self.input_delay.max(initial=0.0)
+
+    def _forced(self, record: Recording) -> Array:
+        """Outputs (p, T) on a record from rest."""
+        hold = Hold(record.dt, self.method, self.intersample)
+        return predicted_outputs(
+            self.poles, self.residues, self.feedthrough, record.u, hold, self.delay, self.input_delay
+        )
 
     @property
     def _moving(self) -> bool:
@@ -696,8 +718,9 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
 
         Notes
         -----
-        A constant is estimated along with the motion if one was in the fit.  Outputs have their `delay`; what an output
-        that comes late is before inputs of the record reach it is a guess, from what it is then.  O(T n (m + p)).
+        A constant is estimated along with the motion if one was in the fit.  Outputs have their `delay`, and inputs
+        their `input_delay`; what an output that comes late is before all inputs of the record reach it is a guess, from
+        what it is then.  O(T n (m + p)).
 
         With a horizon the noise is what the steady filter of `predictor` makes of the past, which is 0 before the
         record; a sample that is missing tells nothing.  Motion and constant are still those of the simulation, fitted
@@ -759,7 +782,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
                     "this fit is to a frequency response, which has no motion; use 'estimate' or 'zero'"
                 )
             return self._going_on(data, record) if name == "final" else self._beginning_as(data, record)
-        forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold, self.delay)
+        forced = self._forced(record)
         if name == "zero":
             return forced
         if not seen:
@@ -767,7 +790,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
                 "the record has no outputs to estimate the motion from; pass initial_state='zero', 'fitted', 'final' "
                 "or a state"
             )
-        return forced + estimated_motion(self.poles, record, forced, hold, bool(self.offsets.any()), self.delay)
+        return forced + estimated_motion(self.poles, record, forced, hold, bool(self.offsets.any()), self._latest)
 
     def _predicted_on(self, record: Recording, initial_state: ArrayLike | str | None, horizon: int) -> Array:
         """Outputs some steps ahead."""
@@ -809,10 +832,16 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
     def _outputs_from(self, motion: ComplexArray, record: Recording) -> Array:
         """Outputs from free motions (n + r,) or (n + r, p)."""
         hold, outputs = Hold(record.dt, self.method, self.intersample), len(self.output_labels)
-        forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold, self.delay)
+        forced = self._forced(record)
         motion = motion.reshape(len(self.poles), -1) if motion.size else np.zeros((len(self.poles), 1), complex)
         motion = np.broadcast_to(motion, (len(self.poles), outputs))
-        return forced + moved_freely(self.poles, motion, hold, record.samples, unknown_samples(self.delay, record.dt))
+        return forced + moved_freely(self.poles, motion, hold, record.samples, unknown_samples(self._latest, record.dt))
+
+
+def _late(delay: Array, order: int) -> ct.StateSpace:
+    """Delays of several signals by approximations of Pade."""
+    parts = (ct.ss(ct.tf(*ct.pade(late, order))) if late else ct.ss([], [], [], [[1.0]]) for late in delay.tolist())
+    return ct.append(*parts)
 
 
 def _singular(poles: ComplexArray, residues: ComplexArray) -> tuple[ComplexArray, Array, ComplexArray]:

@@ -57,6 +57,7 @@ class ModalReport(Report):
             *_channel_lines(self),
             *[f"  ports           {_listed(ports)}"] * bool(ports),
             *_delay_line(self),
+            *_input_delay_line(self),
             *[f"  mode shapes     {scale}"] * (len(outputs) > 1),
             *_offset_line(self),
             f"  fit             {self.fit_percent:.2f} %",
@@ -139,6 +140,17 @@ def _delay_line(result: Any) -> list[str]:
     unit = f" {result.time_unit}" * (result.time_unit is not None)
     more = f" and {len(shown) - _NAMED} more" * (len(shown) > _NAMED)
     return [f"  delay           {', '.join(shown[:_NAMED])}{more}{unit}, in predictions and not in system"]
+
+
+def _input_delay_line(result: Any) -> list[str]:
+    """Dead times of inputs, in predictions and not in `system`."""
+    late = [(name, time) for name, time in zip(result.input_labels, result.input_delay.tolist(), strict=True) if time]
+    if not late:
+        return []
+    shown = ", ".join(f"{name!r} {time:.6g}" for name, time in late[:_NAMED])
+    more = f" and {len(late) - _NAMED} more" * (len(late) > _NAMED)
+    unit = f" {result.time_unit}" * (result.time_unit is not None)
+    return [f"  dead times      {shown}{more}{unit}, in predictions and not in system"]
 
 
 def counted_poles(result: Any) -> str:

@@ -431,10 +431,10 @@ class FittedModes(Report, Frozen):
 
     def _entry(self, output: int, input: int, omega: Array) -> Any:
         """Model of one output and input, with its delay at some frequencies only."""
-        plant, delay = self.observed_system[output, input], np.asarray(getattr(self, "delay", np.zeros(output + 1)))
-        if not delay[output]:
+        plant, late = self.observed_system[output, input], self.delay[output] + self.input_delay[input]
+        if not late:
             return plant
-        values = plant(1j * omega, warn_infinite=False) * np.exp(-1j * omega * delay[output])
+        values = plant(1j * omega, warn_infinite=False) * np.exp(-1j * omega * late)
         return ct.frd(values, omega, inputs=plant.input_labels, outputs=plant.output_labels)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:

@@ -37,9 +37,8 @@ _WORDS = {
 # older files do not have them, or they are left out where there is nothing to say
 _MAY_LACK = {
     "drift", "output", "experiment", "findings", "tests", "time_unit", "title", "method", "blind",
-    "initial_stderr", "offset_stderr", "noise_scale", "delay", "delay_stderr", "background",
-    "window", "errors",
-    "noise", "colours", "forces", "cross", "states", "apart",
+    "initial_stderr", "offset_stderr", "noise_scale", "delay", "delay_stderr", "input_delay", "background",
+    "window", "errors", "noise", "colours", "forces", "cross", "states", "apart",
 }  # fmt: skip
 _MAY_BE_NAN = {
     "covariance", "offset_stderr", "initial_stderr", "y", "response", "shape_stderr", "delay_stderr",
@@ -272,7 +271,7 @@ def _modal_from_dict(fields: Fields, records: Sequence[Any] = ()) -> Any:
         "residues": (n, outputs, inputs), "feedthrough": (outputs, inputs),
         "shapes": (modes, outputs), "shape_stderr": (modes, outputs), "participation": (modes, inputs),
         "noise_variance": (outputs, inputs) if per_entry else (outputs,),
-        "delay": (outputs,), "delay_stderr": (outputs,),
+        "delay": (outputs,), "delay_stderr": (outputs,), "input_delay": (inputs,),
     }  # fmt: skip
     pairs = zip(_places(ports, "output", outputs), _places(ports, "input", inputs), strict=True)
     rows, columns = np.triu_indices(size)

@@ -41,7 +41,15 @@ Rows = TypeVar("Rows", FreeRecord, FreeResponse)  # what may have a delay
 
 Sensitivity = tuple[list[int], Array, Array, Array]  # outputs, residual, Jacobians by poles and by their shared unknowns
 
-# --- delays of the outputs --------------------------------------------------------------------------------------------
+# --- delays -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """Times by which `outputs` (p,) come later than the response to the inputs, and `inputs` (m,) act later."""
+
+    outputs: Array
+    inputs: Array
 
 
 @dataclass(frozen=True)

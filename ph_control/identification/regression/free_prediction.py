@@ -72,12 +72,22 @@ def natural_jacobian(p: ComplexArray) -> Array:
 
 
 def predicted_outputs(
-    p: ComplexArray, residues: ComplexArray, through: Array, u: Array, hold: Hold, delay: Array | None = None
-) -> Array:
+    p: ComplexArray, residues: ComplexArray, through: Array, u: Array, hold: Hold, delay: Array | None = None,
+    input_delay: Array | None = None,
+) -> Array:  # fmt: skip
     """Outputs (q, T) from rest of modes with poles (n,), residues (n, q, m) and feedthrough (q, m); O(T n (m + q)).
 
-    Each may come later by a `delay` (q,); where it is negative the last input lasts.
+    Each may come later by a `delay` (q,); where it is negative the last input lasts.  Each input may act later by an
+    `input_delay` (m,): then outputs are the sums of those of inputs that act together.
     """
+    if input_delay is not None and input_delay.any() and len(u):
+        own, outputs = np.zeros(residues.shape[1]) if delay is None else delay, 0.0
+        for late in np.unique(input_delay):
+            which = input_delay == late
+            outputs = outputs + predicted_outputs(
+                p, residues[:, :, which], through[:, which], u[which], hold, own + late
+            )
+        return np.asarray(outputs)
     if delay is not None and delay.any():
         outputs = np.empty((len(delay), u.shape[1]))
         for late in np.unique(delay):

@@ -28,9 +28,12 @@ WHOLE = 1e-9  # samples: a delay so near to a whole number of samples is one
 _LONG = 1 << 14  # samples from which on inner products are cheaper without columns, whatever the number of modes
 
 
-def _shifted(signals: Array, seen: slice, samples: int) -> Array:
-    """Signals (m, T) so many samples later, at the samples that are seen; 0 before the record."""
-    first, last = seen.start - samples, seen.stop - samples
+def _shifted(signals: Array, seen: slice, samples: Indices) -> Array:
+    """Signals (m, T), each so many samples (m,) later, at the samples that are seen; 0 before the record."""
+    if len(signals) > 1 and np.ptp(samples):
+        pairs = zip(signals, samples, strict=True)
+        return np.concatenate([_shifted(signal[None], seen, late[None]) for signal, late in pairs])
+    first, last = (end - int(samples[0]) for end in (seen.start, seen.stop))
     shifted = signals[:, max(0, first) : max(0, last)]
     return np.concatenate([np.zeros((len(signals), -first)), shifted], axis=1) if first < 0 else shifted
 
@@ -82,7 +85,8 @@ class FreeRecord:
 
     Of several inputs (m, T) and outputs (q, T) that were observed at the same samples: they share one factorisation.
     Inputs that are zero throughout are left out, and those there are have their places `among` all.  Of outputs with a
-    delay the inputs are shifted by whole samples, and modes are seen a part of a step later.
+    delay the inputs are shifted by whole samples, and modes are seen a part of a step later; inputs with a dead time of
+    their own are shifted each by its own number of samples.
     """
 
     u: Array
@@ -102,6 +106,7 @@ class FreeRecord:
     whole_record: WholeRecord | None = None  # all samples, where these are a part
     unit: float = 1.0  # what inputs and outputs were divided by
     level: Array | None = None  # (T,) noise of each sample over that of the rows, by which these are divided
+    dead_samples: Indices | None = None  # (m,) by which each input acts later
 
     @cached_property
     def complete(self) -> bool:
@@ -208,23 +213,32 @@ class FreeRecord:
             return self
         samples = time / self.hold.h
         samples = float(np.rint(samples)) if abs(samples - np.rint(samples)) < WHOLE else samples
-        known = self.whole_record or WholeRecord(self.u, self.y, self.observed, 0, 0, self.level)
+        known, dead = self.whole_record or WholeRecord(self.u, self.y, self.observed, 0, 0, self.level), self._dead
         ends = [samples, *(bound / self.hold.h for bound in (least, most) if bound is not None)]
-        first = max(known.first, int(np.ceil(max(ends)))) * self.moving
-        last = max(known.last, -int(np.floor(min(ends))))
-        if not samples and not first and not last:
+        first = max(known.first, int(np.ceil(max(ends))) + int(dead.max())) * self.moving
+        last = max(known.last, -int(np.floor(min(ends))) - int(dead.min()))
+        if not (samples or first or last or dead.any()):
             return self
         moving = self.moving or samples < 0
         shift = int(np.floor(samples))
         late = samples - shift
         seen = slice(first, known.u.shape[-1] - last)
-        u, ahead = (_shifted(known.u, seen, shift + back) for back in (late > 0, 0))
+        u, ahead = (_shifted(known.u, seen, shift + back + dead) for back in (late > 0, 0))
         return replace(
             self, u=u, y=known.y[:, seen], observed=known.observed[seen], delay=samples, late=late, moving=moving,
             ahead=ahead if late and self.hold.intersample == "foh" else None,
             whole_record=replace(known, first=first, last=last),
             level=None if known.level is None else known.level[seen],
         )  # fmt: skip
+
+    def with_dead_times(self, times: Array) -> FreeRecord:
+        """The record with inputs (all there are) that act later, each by a time of its own: whole samples."""
+        dead = np.rint(times[self.acting] / self.hold.h).astype(int)
+        return replace(self, dead_samples=dead).delayed(self.delay_time) if dead.any() else self
+
+    @property
+    def _dead(self) -> Indices:
+        return np.zeros(len(self.u), int) if self.dead_samples is None else self.dead_samples
 
     @property
     def delay_time(self) -> float:
@@ -292,8 +306,9 @@ class FreeRecord:
         return np.asarray((motion - forced) * np.exp(-p * first * self.hold.h)[:, None])
 
     def among_inputs(self, u: Array, sample: int) -> Array:
-        """Inputs at a sample, 0 before the first."""
-        return np.asarray(u[: self.inputs, sample] if sample >= 0 else np.zeros(self.inputs), float)
+        """Inputs as they act at a sample, 0 before the first."""
+        places = sample - self._dead
+        return np.where(places >= 0, u[np.arange(self.inputs), np.maximum(places, 0)], 0.0)
 
     def offset_at_start(self, own: Array) -> tuple[Array, Array]:
         """Constant of each output at the first sample of the whole record, and its change per unit time."""
@@ -327,7 +342,11 @@ class FreeRecord:
                 self, u=known.u, y=known.y, observed=known.observed, delay=0.0, late=0.0, ahead=None, whole_record=None,
                 level=known.level,
             )  # fmt: skip
-            return [rows.delayed(self.delay_time) for rows in whole.filtered(innovations)]
+            # as many samples are left out at the ends, which other delays may ask for
+            dead, h = self._dead, self.hold.h
+            ends = -h * (known.last + int(dead.min())), h * (known.first - int(dead.max()))
+            ends = min(self.delay_time, ends[0]), max(self.delay_time, ends[1])
+            return [rows.delayed(self.delay_time, *ends) for rows in whole.filtered(innovations)]
         records = []
         for row, output in enumerate(self.outputs.tolist()):
             b = innovations[output]

@@ -35,6 +35,7 @@ class Cause(Enum):
     DRIFT = "drift of the output"
     HOLD = "hold of the input"
     DELAY = "delay of the input"
+    INPUT_DELAY = "dead time of one of several inputs"
     COLOURED_NOISE = "coloured noise"
     INPUT_NOISE = "noise on the input"
     GAIN_NOISE = "noise that grows with the gain"
@@ -75,7 +76,8 @@ class Finding:
         What it is.
     values : tuple of float
         Of a constant its value in each record; of a drift its change per unit time in each; of a delay the samples by
-        which the output lags, or, where the model has it, the time and its standard error;
+        which the output lags, or, where the model has it, the time and its standard error; of a dead time of one input
+        that time;
         of coloured noise the coefficients `phi` of `e_k = sum phi_j e_(k-j) + white`; of noise
         on the input its size over that of the input, and the standard deviation of the white noise beside it; of noise
         that grows with the gain its standard deviation over the gain, of each entry row by row; of a hold
@@ -92,7 +94,7 @@ class Finding:
     gain : float
         How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers and ends of the range.
     output : str
-        The output that shows it, of several channels; of a response with its input.
+        The output that shows it, of several channels; of a response with its input; of a dead time the input.
     experiment : int
         Which of several experiments has these outliers, or that range, counted from 0.
     """
@@ -240,6 +242,13 @@ def _of_delay(finding: Finding, terms: _Terms) -> str:
     )
 
 
+def _of_input_delay(finding: Finding, terms: _Terms) -> str:
+    return (
+        f"The input {finding.output!r} acts {finding.values[0]:.6g} {terms.time_unit or 'units of time'} later "
+        f"({_gain(finding)} by all dead times); that is in predictions, and not in system."
+    )
+
+
 def _of_rejection(finding: Finding, terms: _Terms) -> str:
     hypothesis = next(name for name, cause in REJECTED.items() if cause is finding.cause)
     return f"The data show {finding.cause.value}: they reject {hypothesis!r} ({p_value(finding.values[0])})."
@@ -382,6 +391,7 @@ def _of_input_noise(finding: Finding, terms: _Terms) -> str:
 
 _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
     Cause.CONSTANT: _of_constant, Cause.DRIFT: _of_drift, Cause.HOLD: _of_hold, Cause.DELAY: _of_delay,
+    Cause.INPUT_DELAY: _of_input_delay,
     Cause.POLARITY: _of_polarity, Cause.GAIN_NOISE: _of_gain_noise, Cause.COLOURED_RESIDUALS: _of_coloured_residuals,
     Cause.HUM: _of_hum, Cause.UNEQUAL_NOISE: _of_unequal_noise, Cause.FORCES: _of_forces,
     Cause.CORRELATED_NOISE: _of_correlated_noise, Cause.AMBIENT: _of_ambient,

@@ -25,7 +25,7 @@ from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
 from ..regression.elimination import orthogonal, without
-from ..regression.free import Delays, FreeProjection, refine_free
+from ..regression.free import Delays, FreeProjection, Lateness, refine_free
 from ..regression.frequency_rows import FURTHER_TERMS, FreeResponse, Term
 from ..regression.sections import PoleRegion, Sections
 from ..regression.shared_errors import SharedErrors
@@ -35,6 +35,7 @@ from ..regression.variable_projection import Interrupted, Progress
 from ..uncertainty.residual_tests import ljung_box
 from .circumstances import Cause, Finding, correlations, foretold
 from .criteria import Criteria, least_gain, past_of_noise, stands_out
+from .dead_times import DeadTimeScan, distinct, numbers_of
 from .free_search import FreeModel, FreeSearch, Records, Responses
 from .held_out import foretelling_order
 from .response_noise import ROUNDS, SETTLED, NoiseLaw, balanced, entry_laws
@@ -112,6 +113,8 @@ class FreeFit(Frozen):
         The linear problem of the data as they are, where its noise is coloured and rows were made in which it is white.
     delay : ndarray, shape (outputs of the projection,)
         Time by which each comes later than the response to the inputs, in its rows.
+    input_delay : ndarray, shape (m,)
+        Time by which each input acts later than the record says, in the rows.
     delay_gain : float
         Log-likelihood by which this explains more.
     delay_open : bool
@@ -139,6 +142,7 @@ class FreeFit(Frozen):
     held_otherwise: Callable[[], FreeFit] | None = None
     measured: FreeProjection | None = None
     delay: Array = field(default_factory=lambda: np.zeros(1))
+    input_delay: Array = field(default_factory=lambda: np.zeros(1))
     delay_gain: float = 0.0
     delay_open: bool = False
     noise: tuple[Array, ...] = ()
@@ -172,6 +176,11 @@ class FreeFit(Frozen):
     def offset(self) -> int:
         """Terms of what outputs have beside the modes: none, a constant, or a constant and a drift."""
         return max(getattr(rows, "offset", 0) for rows in self.projection.experiments)
+
+    @property
+    def lateness(self) -> Lateness:
+        """Delays of outputs and inputs."""
+        return Lateness(self.delay, self.input_delay)
 
     @property
     def order(self) -> int:
@@ -230,6 +239,7 @@ def free_fit(
     weighted: bool = True,
     real_poles: int | str = "auto",
     delay: Array | None = None,
+    input_delay: Array | None = None,
     method: str = "exact",
     doubted: bool = True,
     beside: Callable[..., FreeFit] = lambda fit, most: fit,
@@ -269,6 +279,9 @@ def free_fit(
     delay : ndarray, shape (p,), optional
         Time by which each output comes later than the response to the inputs; by default whole samples of recordings
         where they explain more.
+    input_delay : ndarray, shape (m,), optional
+        Time by which each input acts later than recorded, in whole samples; by default, where `delay` is left to the
+        data as well, of several inputs those that explain more.
     weighted : bool
         Whether the weights of responses are those of their noise.  If not, and the noise grows with the gain, the fit
         is repeated with the weights of the law of each entry, which is estimated.
@@ -300,24 +313,34 @@ def free_fit(
             "quantities": quantities, "moving": moving, "criterion": criterion, "reports": reports,
             "real_poles": real_poles, "method": method,
         }  # fmt: skip
-        return _of_long(channels, order, intersample, offset, how, max_order=max_order, start=start, delay=delay)
+        return _of_long(
+            channels, order, intersample, offset, how, max_order=max_order, start=start, delay=delay,
+            input_delay=input_delay,
+        )  # fmt: skip
     if any(isinstance(channel, Recording) and len(channel.changes) for channel in channels):
         how = {
             "quantities": quantities, "moving": moving, "criterion": criterion, "reports": reports,
             "real_poles": real_poles, "method": method,
         }  # fmt: skip
-        return _in_changing_noise(channels, order, intersample, offset, how, max_order=max_order, start=start,
-                                  delay=delay)  # fmt: skip
+        return _in_changing_noise(
+            channels, order, intersample, offset, how, max_order=max_order, start=start, delay=delay,
+            input_delay=input_delay,
+        )  # fmt: skip
 
     automatic = not isinstance(order, int)
     real_poles = 0 if real_poles == "auto" and not automatic else real_poles
+    shape = len(channels[0].output_labels), len(channels[0].input_labels)
+    given = [np.zeros(n) if values is None else values for n, values in zip(shape, (delay, input_delay), strict=True)]
 
     def path_for(
-        channels: Experiments, terms: int = int(bool(offset)), hold: str = intersample, late: Array | None = delay
+        channels: Experiments,
+        terms: int = int(bool(offset)),
+        hold: str = intersample,
+        late: Lateness = Lateness(*given),
     ) -> FreePath:
         return FreePath.of(
             channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles, method=method,
-            constant_open=offset == "auto" and terms == 1, delay=late, white=white,
+            constant_open=offset == "auto" and terms == 1, late=late, white=white,
         )  # fmt: skip
 
     windowed = [data for data in channels if isinstance(data, ResponseMatrix) and data.window is not None]
@@ -336,7 +359,9 @@ def free_fit(
     if automatic and criterion == "holdout":
         most, automatic = foretelling_order(channels, begin, most, path_for), False
     search = _Search(path_for, begin, most, automatic, None if intersample == "auto" else intersample)
-    fit = search.along(path, channels)
+    dead = delay is None and input_delay is None
+    late = _of_late_inputs(path_for(channels), channels, search, offset == "auto") if dead else None
+    fit = late or search.along(path, channels)
     if weighted and start is None and not windowed:
         fit = _from_peaks(fit, path, search)
     if automatic and real_poles in ("auto", 0) and not fit.interrupted:
@@ -345,7 +370,7 @@ def free_fit(
     short = automatic and fit.order >= most
     most = min(max_order, path.carried) if automatic else 0
     noise: Beside = (lambda fit: fit) if short else partial(beside, most=most)
-    return _beside_all_else(fit.with_delay_open(delay is None), search, weighted, offset == "auto", noise)
+    return _beside_all_else(fit.with_delay_open(delay is None), search, weighted, offset == "auto", dead, noise)
 
 
 @dataclass(frozen=True)
@@ -367,8 +392,13 @@ class _Search:
         return path.fit(begin, self.most, self.automatic, channels, either_hold=self.held is None)
 
 
-def _beside_all_else(fit: FreeFit, search: _Search, weighted: bool, drifting: bool, noise: Beside) -> FreeFit:
-    """The fit with what its data show beside modes: noise that grows with gains of responses, or drifts and delays."""
+def _beside_all_else(
+    fit: FreeFit, search: _Search, weighted: bool, drifting: bool, dead: bool, noise: Beside
+) -> FreeFit:
+    """The fit with what its data show beside modes: noise that grows with gains of responses, or drifts and delays.
+
+    Outputs may be `drifting`, and inputs may have `dead` times.
+    """
     if fit.windowed and not (fit.interrupted or fit.rounding or weighted):
         try:
             return _in_noise_of_the_window(fit, search)
@@ -380,7 +410,7 @@ def _beside_all_else(fit: FreeFit, search: _Search, weighted: bool, drifting: bo
     try:
         if fit.per_entry:
             return _in_noise_of_the_gain(fit, search)
-        return _beside_drifts_and_delays(fit, _searches_anew(fit, search, drifting), drifting, noise)
+        return _beside_drifts_and_delays(fit, search, drifting, dead, noise)
     except KeyboardInterrupt:
         return replace(fit, interrupted=True)
 
@@ -401,7 +431,7 @@ def _searches_anew(fit: FreeFit, search: _Search, drifting: bool) -> Anew:
     Where outputs may be `drifting`, a search asks anew whether they have a constant.
     """
 
-    def anew(late: Array, terms: int, start: ComplexArray | None) -> FreeFit:
+    def anew(late: Lateness, terms: int, start: ComplexArray | None) -> FreeFit:
         terms = max(terms, int(drifting and start is None))
         path = search.path_for(fit.channels, terms, search.held or fit.intersample, late)
         path.whiten(fit.noise, path.power)
@@ -704,7 +734,7 @@ def _of_long(
     ):
         part = [next(stages(span, channel.samples), span) for span, channel in zip(part, channels, strict=True)]
         longer = [cut(channel, span) for channel, span in zip(channels, part, strict=True)]
-        path = FreePath.of(longer, intersample=fit.intersample, offset=fit.offset, best=best, delay=fit.delay, **how)
+        path = FreePath.of(longer, intersample=fit.intersample, offset=fit.offset, best=best, late=fit.lateness, **how)
         projection = path.refined(best.p, TUNING.rough, None)
         path.best = best = FreeModel(projection, [], path.in_data(projection.losses), path.search)
     whole = path.fit(best.p, len(best.p), False, channels, either_hold=intersample == "auto")
@@ -728,7 +758,7 @@ def _in_changing_noise(
     ]  # fmt: skip
     fit = free_fit(spans, order, intersample=intersample, offset=offset, **how, **options)
     how["noise"] = fit.noise
-    path = FreePath.of(channels, intersample=fit.intersample, offset=fit.offset, delay=fit.delay, **how)
+    path = FreePath.of(channels, intersample=fit.intersample, offset=fit.offset, late=fit.lateness, **how)
     path.table = {row.order: row for row in fit.order_table}
     model = FreeModel(fit.projection, [], path.power, path.search)
     if fit.interrupted:
@@ -754,22 +784,28 @@ def _spans_of_one_level(recording: Recording) -> list[Recording]:
 # --- drifts and delays -----------------------------------------------------------------------------------------------
 
 Beside = Callable[[FreeFit], FreeFit]
-Anew = Callable[[Array, int, ComplexArray | None], FreeFit]  # search, or from poles, with delays and terms of offsets
+Anew = Callable[[Lateness, int, ComplexArray | None], FreeFit]  # search, or from poles, with delays and offsets
 
 
-def _beside_drifts_and_delays(fit: FreeFit, anew: Anew, drifting: bool, noise: Beside) -> FreeFit:
+def _beside_drifts_and_delays(
+    fit: FreeFit, search: _Search, drifting: bool, dead: bool, noise: Beside
+) -> FreeFit:
     """The fit beside the drifts of outputs, where these may be `drifting`, and with the delays that are open.
 
-    Noise of another kind may look like a delay.
+    Inputs may have `dead` times of their own.  Noise of another kind may look like a delay.
     """
+    anew = _searches_anew(fit, search, drifting)
     level = noise(_beside_drift(fit, anew) if drifting else fit)
     if level.beside is not None:
         return level
-    late = _on_time(level, anew) if fit.delay_open else level
+    late = level
+    if fit.delay_open and not (dead and fit.input_delay.any()):
+        late = (_with_dead_times(level, anew, search, drifting) if dead else None) or _on_time(level, anew)
     if not drifting:
         return late
     # poles that stand for a delay may hide a drift
-    late = _beside_drift(late, anew) if late is not level and late.offset < 2 else late
+    if late is not level and late.offset < 2:
+        late = _beside_drift(late, _searches_anew(late, search, drifting) if late.input_delay.any() else anew)
     return _with_constants(late)
 
 
@@ -779,17 +815,17 @@ def _beside_drift(fit: FreeFit, anew: Anew) -> FreeFit:
     slow = fit.projection.d < TUNING.damped_apart * min(record.bin for record in records)
     if not slow.any() and not any(_leans(*pair) for pair in zip(records, fit.projection.predictions(), strict=True)):
         return fit
-    trial = anew(fit.delay, 2, fit.projection.p[~slow])
+    trial = anew(fit.lateness, 2, fit.projection.p[~slow])
     if trial.criteria.bic > fit.criteria.bic - 2 * TUNING.sure or _gain_of_drift(trial) < TUNING.sure:
         return fit
-    again = anew(fit.delay, 2, None)
+    again = anew(fit.lateness, 2, None)
     best = again if again.criteria.bic <= trial.criteria.bic else trial
     drifts = [
         float(slope) for rows, own in zip(best.projection.experiments, best.projection.own, strict=True)
         if isinstance(rows, FreeRecord) for slope in best.scales[rows.outputs] * own[-2] * rows.unit / rows.hold.h
     ]  # fmt: skip
     # slow poles may stand for a drift
-    level = anew(fit.delay, 1, fit.projection.p[~slow]) if slow.any() else fit
+    level = anew(fit.lateness, 1, fit.projection.p[~slow]) if slow.any() else fit
     gain = max(best.criteria.loglik - level.criteria.loglik, 0.5 * (fit.criteria.bic - best.criteria.bic))
     finding = Finding(Cause.DRIFT, tuple(drifts), gain)
     return replace(best, findings=(*fit.findings, finding), delay_gain=fit.delay_gain)
@@ -871,11 +907,149 @@ def _leans(rows: FreeRecord, predicted: NDArray[Any]) -> bool:
     return bool(np.any(-0.5 * len(t) * np.log1p(-np.minimum(share, 0.5)) > TUNING.likely))
 
 
+def undelayed(fit: FreeFit) -> Lateness:
+    """The delays of a fit without those of the outputs."""
+    return replace(fit.lateness, outputs=np.zeros_like(fit.delay))
+
+
+def _of_late_inputs(path: FreePath, channels: Experiments, search: _Search, drifting: bool) -> FreeFit | None:
+    """The fit with inputs that act later, each by a time of its own, where a few lags already tell; None elsewhere.
+
+    It has to be likelier than what a search without dead times finds that begins with its poles and its noise.
+    """
+    rows = [record for record in path.plain.data if isinstance(record, FreeRecord)]
+    proposed = _proposed_dead_times(rows, path.felt.shape[1], np.zeros(0, complex)) if rows else None
+    if proposed is None:
+        return None
+    late_path = search.path_for(channels, late=Lateness(np.zeros(path.felt.shape[0]), proposed.times))
+    late_path.whiten(proposed.noise, late_path.power)
+    late = search.along(late_path, channels, np.append(search.begin, proposed.lags))
+    try:
+        late = late if late.interrupted else _in_best_dead_times(late, search, drifting)
+    except KeyboardInterrupt:
+        return replace(late, interrupted=True)
+    if late.interrupted:
+        return late
+    path.whiten(late.noise, path.power)
+    return _likelier_late(late, search.along(path, channels, late.projection.p))
+
+
+def _with_dead_times(fit: FreeFit, anew: Anew, search: _Search, drifting: bool) -> FreeFit | None:
+    """The fit with inputs that act later, each by a time of its own, where that explains more; None elsewhere.
+
+    Nothing is looked for where what is left shows nothing of the inputs, and no pole could stand for a dead time.
+    """
+    p = fit.projection.p
+    mimics = -p.real > _MIMICS * np.abs(p)
+    if fit.rounding or not (fit.noise or mimics.any() or _leaves_traces(fit.projection)):
+        return None
+    proposed = _proposed_dead_times(_of_fit(fit), len(fit.input_delay), p[~mimics])
+    if proposed is None:
+        return None
+    late = anew(Lateness(np.zeros_like(fit.delay), proposed.times), fit.offset, None)
+    return _likelier_late(_in_best_dead_times(late, search, drifting), fit)
+
+
+def _likelier_late(late: FreeFit, on_time: FreeFit) -> FreeFit | None:
+    """A fit with dead times, and the findings that say so, where it is likelier than one without; None elsewhere."""
+    if on_time.interrupted:
+        return replace(late, interrupted=True)
+    gain = 0.5 * (_criterion(on_time) - _criterion(late))
+    if gain <= TUNING.sure:
+        return None
+    times = zip(late.channels[0].input_labels, late.input_delay.tolist(), strict=True)
+    findings = (Finding(Cause.INPUT_DELAY, (time,), gain, label) for label, time in times if time)
+    return replace(late, findings=(*on_time.findings, *findings), delay_gain=gain)
+
+
+def _in_best_dead_times(fit: FreeFit, search: _Search, drifting: bool) -> FreeFit:
+    """The fit with the dead times that are the likeliest for its poles and its noise, and poles for these."""
+    for _ in range(_SCANS):
+        step = fit.channels[0].dt
+        scan = _scan(_of_fit(fit), fit.projection.p, fit.projection.fed_through)
+        samples = scan.refined(np.rint(fit.input_delay / step).astype(int), fit.noise)
+        if not distinct(samples) or np.array_equal(step * samples, fit.input_delay):
+            break
+        again = _searches_anew(fit, search, drifting)(
+            Lateness(np.zeros_like(fit.delay), step * samples), fit.offset, fit.projection.p
+        )
+        if _criterion(again) >= _criterion(fit):
+            break
+        fit = again
+    return fit
+
+
+def _of_fit(fit: FreeFit) -> list[FreeRecord]:
+    """The records of a fit without delays."""
+    moving = any(rows.moving for rows in fit.projection.experiments)
+    return _records(fit.channels, fit.intersample, fit.offset, moving, fit.method)
+
+
+def _scan(rows: Sequence[FreeRecord], p: ComplexArray, fed: Mask) -> DeadTimeScan:
+    """Dead times of inputs for some poles."""
+    count = sum(record.samples * len(record.outputs) for record in rows)
+    return DeadTimeScan(rows, p, _longest_dead_time(rows), 0.5 * float(np.log(count)), fed)
+
+
+def _longest_dead_time(rows: Sequence[FreeRecord]) -> int:
+    """Samples of the longest dead time that is looked for."""
+    return min(_LONGEST_DELAY, min(record.length for record in rows) // 10)
+
+
+@dataclass(frozen=True)
+class _Proposal:
+    """Times (m,) by which inputs act later, with the lags beside which they are likely, and the noise of these."""
+
+    times: Array
+    lags: ComplexArray
+    noise: tuple[Array, ...]
+
+
+def _proposed_dead_times(rows: Sequence[FreeRecord], inputs: int, p: ComplexArray) -> _Proposal | None:
+    """Times by which inputs act later, that some modes and a few lags are likelier with by far than any without.
+
+    None where there are none, or where they are a delay of the outputs.
+    """
+    steps = [record.hold.h for record in rows]
+    if inputs < 2 or np.ptp(steps) > EPS * max(steps) or is_short(rows[0]):
+        return None
+    fed = np.zeros((1 + max(int(record.outputs.max()) for record in rows), inputs), bool)
+    slowest = 20.0 / min(record.length for record in rows)
+    rates = [[rate] for rate in np.geomspace(slowest, 0.5, _LAGS)] + [np.geomspace(0.3 * slowest, 0.5, 3)]
+    trials, none = [], -np.inf
+    for each in rates:
+        lags = -np.array(each, complex) / steps[0]
+        scan = _scan(rows, np.append(p, lags), fed)
+        without, late = scan.likeliest(np.zeros(inputs, int))
+        none, gain = max(none, without.loglik), late.loglik - scan.each * numbers_of(late.samples)
+        trials.append((gain - scan.each * len(lags) * inputs, gain, late, lags))
+    _, gain, late, lags = max(trials, key=lambda trial: trial[0])
+    if not distinct(late.samples) or gain - none <= TUNING.likely:
+        return None
+    return _Proposal(steps[0] * late.samples, lags, late.noise)
+
+
+def _criterion(fit: FreeFit) -> float:
+    """BIC over the samples that the longest dead times leave to all fits, with these among the parameters."""
+    rows = _records(fit.channels, fit.intersample, fit.offset, _of_fit(fit)[0].moving, fit.method, fit.lateness)
+    dead = np.rint(fit.input_delay / fit.channels[0].dt).astype(int)
+    most = _longest_dead_time(rows) - int(dead.max(initial=0))
+    rows = [row.delayed(row.delay_time, 0.0, most * row.hold.h) for row in rows]
+    shown = Records(rows).whitened(fit.noise).data if fit.noise else rows
+    counts = np.zeros(len(fit.scales))
+    for row in shown:
+        counts[row.outputs] += row.samples
+    losses = np.maximum(FreeProjection(shown, fit.projection.p, fit.projection.fed).losses, np.finfo(float).tiny)
+    whole = float(fit.projection.rows)
+    loglik = -0.5 * whole / counts.sum() * float(counts @ np.log(losses / counts))
+    return (fit.unknowns + numbers_of(dead)) * float(np.log(whole)) - 2 * loglik
+
+
 def _on_time(fit: FreeFit, anew: Anew) -> FreeFit:
     """The fit with outputs that come some samples after the inputs, or before, where the modes say so."""
     best, gain = fit, TUNING.likely
     for delay in likely_delays(fit):
-        again = anew(delay, fit.offset, None)
+        again = anew(replace(fit.lateness, outputs=delay), fit.offset, None)
         share = fit.projection.rows / again.projection.rows
         now = 0.5 * (fit.criteria.bic - again.criteria.bic * share)
         if now > gain:
@@ -888,7 +1062,8 @@ def _on_time(fit: FreeFit, anew: Anew) -> FreeFit:
         proposed = scanned_delays(best) - tried
         tried, before = tried | proposed, best
         for samples in sorted(proposed - {0}):
-            again = anew(np.full(len(fit.scales), samples * fit.channels[0].dt), fit.offset, None)
+            delay = np.full(len(fit.scales), samples * fit.channels[0].dt)
+            again = anew(replace(fit.lateness, outputs=delay), fit.offset, None)
             now = 0.5 * (fit.criteria.bic - again.criteria.bic * fit.projection.rows / again.projection.rows)
             # with noise that is modelled a delay is one more parameter; without, what else leaves traces may ask for it
             each = 0.5 * float(np.log(fit.projection.rows)) if again.noise else TUNING.likely
@@ -912,7 +1087,7 @@ def likely_delays(fit: FreeFit) -> list[Array]:
     step, count = some[0].dt, len(fit.scales)
     records = [
         replace(record, y=record.y / fit.scales[record.outputs, None])
-        for record in _records(some, fit.intersample, fit.offset, True, fit.method)
+        for record in _records(some, fit.intersample, fit.offset, True, fit.method, undelayed(fit))
     ]
 
     def late(samples: int, p: ComplexArray = fit.projection.p) -> FreeProjection:
@@ -983,7 +1158,7 @@ def scanned_delays(fit: FreeFit) -> set[int]:
     some = [cut(recording, slice(0, min(recording.samples, _DELAYS_FROM))) for recording in channels]
     shortest = min(recording.samples for recording in some)
     most = min(_LONGEST_DELAY, shortest // 10)
-    records = _records(some, fit.intersample, fit.offset, True, fit.method)
+    records = _records(some, fit.intersample, fit.offset, True, fit.method, undelayed(fit))
 
     def scanned(p: ComplexArray) -> tuple[float, int]:
         """Squares that poles leave with the best delay, and this."""
@@ -1083,7 +1258,7 @@ def _inverse_variances(fit: FreeFit, laws: Sequence[NoiseLaw]) -> list[Array]:
 
 def orders_about(
     channels: Experiments, poles: ComplexArray, most: int, *, quantities: Sequence[str], intersample: str, offset: bool,
-    moving: bool, method: str = "exact", delay: Array | None = None,
+    moving: bool, method: str = "exact", late: Lateness | None = None,
 ) -> list[tuple[ComplexArray, ComplexArray]]:  # fmt: skip
     """Poles and residues (n, p, m) of ascending orders, one more mode each: to some poles, and from these to the most.
 
@@ -1091,7 +1266,7 @@ def orders_about(
     Without inputs the residues are motions in the experiments.
     """
     channels = [cut(channel, searched_part(channel, not moving)) for channel in channels]
-    path = FreePath.of(channels, quantities, intersample, offset, moving, method=method, delay=delay)
+    path = FreePath.of(channels, quantities, intersample, offset, moving, method=method, late=late)
     orders = []
     for start, end in ((poles[poles.imag == 0], _modes(poles) - 1), (poles, min(most, path.carried))):
         model: FreeModel | None = path.reweighted(path.model(start))
@@ -1108,7 +1283,7 @@ def orders_about(
 
 def _records(
     channels: Sequence[Recording], hold: str, offset: int, moving: bool, method: str = "exact",
-    delay: Array | None = None,
+    late: Lateness | None = None,
 ) -> list[FreeRecord]:  # fmt: skip
     records = list[FreeRecord]()
     for recording in channels:
@@ -1121,7 +1296,10 @@ def _records(
         records += FreeRecord.by_observation(
             u, recording.y, recording.observed, Hold(recording.dt, method, hold), recording.level, **options
         )
-    return records if delay is None or not delay.any() else Delays.of_outputs(delay).rows(records)
+    if late is None:
+        return records
+    records = [rows.with_dead_times(late.inputs) for rows in records]
+    return Delays.of_outputs(late.outputs).rows(records) if late.outputs.any() else records
 
 
 def _responses(
@@ -1214,7 +1392,7 @@ class FreePath:
     def of(
         cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: int, moving: bool,
         criterion: str = "bic", reports: Reports = lambda order: None, best: FreeModel | None = None,
-        real_poles: int | str = "auto", method: str = "exact", constant_open: bool = False, delay: Array | None = None,
+        real_poles: int | str = "auto", method: str = "exact", constant_open: bool = False, late: Lateness | None = None,
         noise: tuple[Array, ...] = (), white: bool = False,
     ) -> FreePath:  # fmt: skip
         """The search in channels, or what ends one whose best model is known."""
@@ -1226,10 +1404,12 @@ class FreePath:
         if not isinstance(first, ResponseMatrix):
             held = "zoh" if intersample == "auto" else intersample
             recordings = [channel for channel in channels if isinstance(channel, Recording)]
-            search: FreeSearch = Records(_records(recordings, held, offset, moving, method, delay))
+            search: FreeSearch = Records(_records(recordings, held, offset, moving, method, late))
             return cls(search, felt, criterion, reports, best, real_poles, noise, constant_open, white)
         search = Responses(
-            _responses([channel for channel in channels if isinstance(channel, ResponseMatrix)], each, delay)
+            _responses(
+                [channel for channel in channels if isinstance(channel, ResponseMatrix)], each, late and late.outputs
+            )
         )
         _refuse_unmeasured(first, np.concatenate([rows.outputs for rows in search.data]))
         return cls(search, felt.reshape(-1, 1), criterion, reports, best, real_poles)
@@ -1241,6 +1421,15 @@ class FreePath:
         for rows in self.search.data:
             if rows.inputs:
                 delays[rows.outputs] = rows.delay_time
+        return delays
+
+    @property
+    def input_delay(self) -> Array:
+        """Time by which each input acts later."""
+        delays = np.zeros(self.felt.shape[1])
+        for rows in self.search.data:
+            if isinstance(rows, FreeRecord) and rows.dead_samples is not None:
+                delays[rows.acting] = rows.hold.h * rows.dead_samples
         return delays
 
     # --- likelihood
@@ -1905,7 +2094,7 @@ class FreePath:
         measured = FreeProjection(self.plain.scaled(self.sizes).data, projection.p, fed) if model.innovations else None
         return FreeFit(
             projection, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding,
-            interrupted, measured=measured, noise=model.innovations, delay=self.delay,
+            interrupted, measured=measured, noise=model.innovations, delay=self.delay, input_delay=self.input_delay,
             crowded=self.crowded,
         )  # fmt: skip
 

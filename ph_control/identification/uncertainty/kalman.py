@@ -209,7 +209,7 @@ def continuous_gain(A: Array, C: Array, noise: NoiseModel) -> Array:
     A, Q = A[part] / states[:, None] * states, Q[part] / np.outer(states, states)
     C = C[:, which] * states / outputs[:, None]
     try:
-        P = np.asarray(ct.care(A.T, C.T, Q, R, S)[0])
+        P = np.asarray(ct.care(A.T, C.T, Q, R)[0])
     except _FAILED as error:
         raise _unsolved(error) from None
     gain[which] = np.linalg.solve(R, (P @ C.T).T).T * states[:, None] / outputs

@@ -33,6 +33,8 @@ class ModalSamples(Draws):
         What bands of gain and phase have beside the modes: that of the estimate.
     delay : ndarray, shape (p,)
         Delay of each output that bands of the phase have: that of the estimate.
+    input_delay : ndarray, shape (m,)
+        Dead time of each input, likewise.
 
     Notes
     -----
@@ -46,6 +48,7 @@ class ModalSamples(Draws):
     shapes: ComplexArray
     background: ResponseBackground | None = None
     delay: Array = field(default_factory=lambda: np.zeros(1))
+    input_delay: Array = field(default_factory=lambda: np.zeros(1))
 
     def __post_init__(self) -> None:
         for name, ndim in (("poles", 2), ("residues", 4), ("shapes", 3)):
@@ -58,7 +61,8 @@ class ModalSamples(Draws):
             raise StructureError(
                 f"poles, feedthrough, shapes have shapes {actual}; expected {(k, n)}, {(k, p, m)}, {(k, modes, p)}"
             )
-        object.__setattr__(self, "delay", np.array(np.broadcast_to(self.delay, p), float))
+        for name, count in (("delay", p), ("input_delay", m)):
+            object.__setattr__(self, name, np.array(np.broadcast_to(getattr(self, name), count), float))
         super().__post_init__()
 
     @property
@@ -280,7 +284,8 @@ class ModalSamples(Draws):
             values = terms.sum(axis=-1) + through
             if self.background is not None:
                 values = values + self.background.entry(output, input).response(w.ravel())[0, 0][:, None]
-            return np.asarray(values * np.exp(-1j * self.delay[output] * w[..., 0]))
+            late = self.delay[output] + self.input_delay[input]
+            return np.asarray(values * np.exp(-1j * late * w[..., 0]))
 
         return response
 

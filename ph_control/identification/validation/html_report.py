@@ -87,8 +87,9 @@ def _call(result: PEMResult) -> str:
     given |= {"real_poles": len(result.real_poles)} if len(result.real_poles) else {}
     given["quantity"] = getattr(result, "quantities", None) or getattr(result, "quantity", None)
     given |= {name: getattr(result, name, None) for name in _KEYWORDS}
-    delay = np.asarray(getattr(result, "delay", 0.0)).tolist()
-    given["delay"] = delay if np.any(delay) else None
+    for name in ("delay", "input_delay"):
+        late = np.asarray(getattr(result, name, 0.0)).tolist()
+        given[name] = late if np.any(late) else None
     given = {name: list(value) if isinstance(value, tuple) else value for name, value in given.items() if value}
     if not np.iscomplexobj(result.predicted):
         given |= _beside_the_modes(result)

@@ -389,7 +389,7 @@ def _free_motions(F: Array, C: Array, samples: int) -> Array:
 def _response(model: Any, label: str, record: FrequencyRecord | ResponseMatrix) -> ComplexArray:
     """Response at the frequencies of a record; refused where it is infinite at a point that was measured."""
     background = getattr(model, "background", None)
-    delay = model.delay if isinstance(model, PEMResult) else np.zeros(1)
+    late = np.add.outer(model.delay, model.input_delay) if isinstance(model, PEMResult) else np.zeros((1, 1))
     system = _system_of(getattr(model, "observed_system", model), label, record)
     points = 1j * record.omega if system.isctime() else np.exp(1j * _sampled_phases(system, label, record))
     if record.window is not None:
@@ -398,9 +398,9 @@ def _response(model: Any, label: str, record: FrequencyRecord | ResponseMatrix) 
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             response = system.horner(points, warn_infinite=False)
     response = response if background is None else response + background.response(record.omega)
-    if delay.any():
+    if late.any():
         with np.errstate(invalid="ignore"):
-            response = response * np.exp(-1j * np.multiply.outer(delay, record.omega))[:, None]
+            response = response * np.exp(-1j * np.multiply.outer(late, record.omega))
     response = response[np.ix_(*_matching(system, label, record))] if record.observed.ndim > 1 else response[0, 0]
     infinite = ~np.isfinite(response)
     offending = np.flatnonzero((infinite & record.observed).reshape(-1, record.samples).any(axis=0))
