@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -180,7 +181,7 @@ def _experiments(
 
 def _squeezed(experiment: FittedChannels) -> FittedExperiment:
     """The experiment of one output without dimensions for it."""
-    record = single(experiment.record)
+    record: Any = single(experiment.record)
     return FittedExperiment(
         replace(record, time=record.clock, driven=False), np.zeros(0), experiment.free_amplitudes[:, 0],
         float(experiment.offsets[0]), experiment.predicted[0],

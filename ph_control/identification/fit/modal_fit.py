@@ -282,12 +282,12 @@ def _beside_changing_noise(alone: _Searched, searched: Callable[[Channels], _Sea
     """The fit where each sample counts by the level of the noise in its span, where that is likelier."""
     latest = alone
     for _ in range(_ROUNDS):
-        levels = changing_levels(latest.free)
+        levels, recordings = changing_levels(latest.free), [data for data in latest.channels if isinstance(data, Recording)]
         if levels is None or _same_levels(levels, latest.channels):
             break
         again = searched(tuple(
-            channel.of_one_level if level is None else channel.adjusted(level=level)  # type: ignore[union-attr]
-            for channel, level in zip(latest.channels, levels, strict=True)
+            channel.of_one_level if level is None else channel.adjusted(level=level)
+            for channel, level in zip(recordings, levels, strict=True)
         ))  # fmt: skip
         if again.free.interrupted:
             break
@@ -1012,7 +1012,7 @@ def _variances(experiments: Sequence[FittedChannels], free: FreeFit) -> tuple[Ar
     for data, channel in zip(experiments, free.channels, strict=True):
         known = data.record.observed & ~np.isnan(data.predicted)
         counts = counts + known.sum(axis=-1) * (1 + free.per_entry)
-        if getattr(data.record, "errors", None) is not None:
+        if isinstance(data.record, ResponseMatrix) and data.record.errors is not None:
             losses = losses + np.nansum(np.abs(data.record.in_noise(data.residuals)) ** 2, axis=-1)
             continue
         if (level := _level_of(channel)) is not None:

@@ -127,7 +127,7 @@ def pem(
         What is beside the response to the inputs: white noise of each output, with one covariance of all outputs,
         or coloured, an autoregression of each; or forces that nobody measured, and noise of recorded inputs, which
         come through the plant.  'auto' takes the simplest that the data do not reject.  Of outputs alone 'forces' says
-        that wind, traffic or the like kept the plant in motion, and 'auto' whether they did, or whether a motion decays.
+        that wind, traffic or the like kept the plant in motion, and 'auto' whether they did, or a motion decays.
 
     Returns
     -------
@@ -186,7 +186,8 @@ def pem(
     for name, value, allowed in (
         ("criterion", criterion, CRITERIA), ("structure", structure, ("auto", *STRUCTURES)),
         ("method", method, METHODS), ("representation", representation, REPRESENTATIONS),
-        ("intersample", intersample, ("auto", *BETWEEN_SAMPLES)), ("initial_state", initial_state, ("estimate", "zero")),
+        ("intersample", intersample, ("auto", *BETWEEN_SAMPLES)),
+        ("initial_state", initial_state, ("estimate", "zero")),
         ("noise", noise, NOISES),
     ):  # fmt: skip
         _checks.choice(name, value, allowed)

@@ -13,12 +13,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from ..._checks import EPS
-from ..._types import Array, ComplexArray, Indices, Mask
+from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..regression.free import places_of
 from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
@@ -161,7 +162,8 @@ class Problem:
         """Numbers that move."""
         noise = [point.noise.C.ravel(), point.noise.K.ravel()] if self.coloured else []
         return np.concatenate([
-            point.noise.sections.x, *noise, point.shared[self.active], *(own.ravel() for own in point.own), *point.states
+            point.noise.sections.x, *noise, point.shared[self.active],
+            *(own.ravel() for own in point.own), *point.states,
         ])  # fmt: skip
 
     def point(self, values: Array, like: Point) -> Point:
@@ -256,11 +258,11 @@ class Evaluation:
 
     @cached_property
     def _root(self) -> Array:
-        return np.linalg.cholesky(self.covariance)
+        return np.asarray(np.linalg.cholesky(self.covariance), float)
 
     def _whitening(self, z: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:
         """Matrices (bins, p, p) that make errors of covariance 1 of noise, and what outputs see of the states."""
-        W = np.broadcast_to(np.eye(self.p), (len(z), self.p, self.p))
+        W: NDArray[Any] = np.broadcast_to(np.eye(self.p), (len(z), self.p, self.p))
         seen = None
         if self.problem.coloured:
             seen = self.point.noise.outputs_of_states(z)
@@ -297,7 +299,8 @@ class Evaluation:
                 W, seen = self._whitening(z)
                 white = solve_triangular(self._root, e, lower=True) * experiment.counts[bins]
                 at_outputs = np.einsum("bpo,pb->ob", W.conj(), white, optimize=True)
-                at_states = np.einsum("bon,ob->nb", np.conj(seen), at_outputs, optimize=True)
+                assert seen is not None
+                at_states = np.einsum("bon,ob->nb", seen.conj(), at_outputs, optimize=True)
                 states = self._states(place, z, e)
                 C -= (at_outputs @ states.conj().T).real
                 K -= (at_states @ e.conj().T).real
@@ -353,7 +356,8 @@ class Evaluation:
                 column += mine.size
 
     def _fill_part(
-        self, J: ComplexArray, part: DrivenPart, mine: Array, bins: slice, W: ComplexArray, numbers: Indices, column: int
+        self, J: ComplexArray, part: DrivenPart, mine: Array, bins: slice, W: ComplexArray, numbers: Indices,
+        column: int,
     ) -> None:  # fmt: skip
         F, outputs = part.columns[:, bins].T, part.rows.outputs
         places = places_of(part.rows, len(self.point.poles))

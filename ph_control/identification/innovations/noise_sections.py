@@ -76,7 +76,8 @@ class NoiseSections:
         cosine = np.where(q > 0, np.cos(angle), np.cosh(np.minimum(angle, 700.0)))
         sine = np.where(q > 0, np.sin(angle), np.sinh(np.minimum(angle, 700.0))) / safe
         sine = np.where(near, h * (1 - q * h**2 / 6 * (1 - q * h**2 / 20)), sine)
-        by_square = np.where(near, -(h**3) / 6 * (1 - q * h**2 / 10), (h * cosine - sine) / (2 * np.where(near, 1.0, q)))
+        by_square = (h * cosine - sine) / (2 * np.where(near, 1.0, q))
+        by_square = np.where(near, -(h**3) / 6 * (1 - q * h**2 / 10), by_square)
         return cosine, sine, -0.5 * h * sine, by_square
 
     @cached_property

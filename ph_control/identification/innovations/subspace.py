@@ -112,7 +112,7 @@ def in_sections(A: Array, C: Array, K: Array, step: float) -> NoiseSections | No
         first = these.stop
     if not np.linalg.cond(T) < 1 / _RANK:
         return None
-    return model.moved(sections, C @ T, np.linalg.solve(T, K))
+    return model.moved(sections, C @ T, np.asarray(np.linalg.solve(T, K), float))
 
 
 def _similar(inner: Array, block: Array) -> Array:

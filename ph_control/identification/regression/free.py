@@ -39,7 +39,8 @@ FreeRows = FreeRecord | FreeResponse | FreeWindow
 
 Rows = TypeVar("Rows", FreeRecord, FreeResponse)  # what may have a delay
 
-Sensitivity = tuple[list[int], Array, Array, Array]  # outputs, residual, Jacobians by poles and by their shared unknowns
+# outputs, residual, Jacobians by poles and by the shared unknowns of these outputs
+Sensitivity = tuple[list[int], Array, Array, Array]
 
 # --- delays -----------------------------------------------------------------------------------------------------------
 
@@ -494,7 +495,8 @@ class FreeProjection(LinearProjection):
             by_poles, by_shared = self.in_rows(place)
             columns = np.zeros((len(by_poles), k + self.shared.size))
             start = k + int(rows.outputs[0]) * len(self.shared)
-            columns[:, :k], columns[:, start : start + len(self.shared)] = by_poles @ self.sections.pole_slopes, by_shared
+            columns[:, :k] = by_poles @ self.sections.pole_slopes
+            columns[:, start : start + len(self.shared)] = by_shared
             jacobians[place] = columns
         inverse = inverse_gram(np.concatenate([reduced(np.asfortranarray(J)) for J in jacobians.values()]))
         turn = np.zeros((2 * n + self.shared.size, k + self.shared.size))

@@ -336,8 +336,9 @@ def free_fit(
         channels: Experiments,
         terms: int = int(bool(offset)),
         hold: str = intersample,
-        late: Lateness = Lateness(*given),
+        late: Lateness | None = None,
     ) -> FreePath:
+        late = Lateness(*given) if late is None else late
         return FreePath.of(
             channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles, method=method,
             constant_open=offset == "auto" and terms == 1, late=late, white=white,
@@ -1026,7 +1027,7 @@ def _proposed_dead_times(rows: Sequence[FreeRecord], inputs: int, p: ComplexArra
     _, gain, late, lags = max(trials, key=lambda trial: trial[0])
     if not distinct(late.samples) or gain - none <= TUNING.likely:
         return None
-    return _Proposal(steps[0] * late.samples, lags, late.noise)
+    return _Proposal(np.asarray(steps[0] * late.samples, float), np.asarray(lags, complex), late.noise)
 
 
 def _criterion(fit: FreeFit) -> float:
@@ -1392,8 +1393,8 @@ class FreePath:
     def of(
         cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: int, moving: bool,
         criterion: str = "bic", reports: Reports = lambda order: None, best: FreeModel | None = None,
-        real_poles: int | str = "auto", method: str = "exact", constant_open: bool = False, late: Lateness | None = None,
-        noise: tuple[Array, ...] = (), white: bool = False,
+        real_poles: int | str = "auto", method: str = "exact", constant_open: bool = False,
+        late: Lateness | None = None, noise: tuple[Array, ...] = (), white: bool = False,
     ) -> FreePath:  # fmt: skip
         """The search in channels, or what ends one whose best model is known."""
         first = channels[0]
@@ -1408,7 +1409,8 @@ class FreePath:
             return cls(search, felt, criterion, reports, best, real_poles, noise, constant_open, white)
         search = Responses(
             _responses(
-                [channel for channel in channels if isinstance(channel, ResponseMatrix)], each, late and late.outputs
+                [channel for channel in channels if isinstance(channel, ResponseMatrix)], each,
+                None if late is None else late.outputs,
             )
         )
         _refuse_unmeasured(first, np.concatenate([rows.outputs for rows in search.data]))

@@ -271,7 +271,8 @@ def turned(A: Array, C: Array, of: Array, seen: Array) -> tuple[Array, float]:
     for k, value in enumerate(own):
         near = int(np.argmin(np.abs(other - value))) if len(other) else -1
         if near >= 0 and np.abs(other[near] - value) <= _SAME_STATES * (1 + np.abs(value)):
-            D[near, k] = np.vdot(second[:, near], first[:, k]) / max(np.vdot(second[:, near], second[:, near]).real, _TINY)
+            size = max(np.vdot(second[:, near], second[:, near]).real, _TINY)
+            D[near, k] = np.vdot(second[:, near], first[:, k]) / size
     T = np.asarray((W @ D @ np.linalg.inv(V)).real)
     return T, float(np.linalg.norm(seen @ T - C) / max(np.linalg.norm(C), _TINY))
 
