@@ -234,8 +234,8 @@ def several(data: Any) -> Recording | ResponseMatrix:
     """The same data as a `Recording` or `ResponseMatrix`, which may have several channels."""
     named = {name: getattr(data, name) for name in ("input_labels", "output_labels", "title", "time_unit")}
     if isinstance(data, FrequencyRecord):
-        more = {"window": data.window, "errors": data.errors}
-        return ResponseMatrix(data.omega, data.response[None, None], data.weights[None, None], **named, **more)
+        response, weights = data.response[None, None], data.weights[None, None]
+        return ResponseMatrix(data.omega, response, weights, **named, window=data.window, errors=data.errors)
     if not isinstance(data, Record):
         return data
     return Recording(data.clock, data.dt, data.u[None][: int(data.driven)], data.y[None], **named)

@@ -866,7 +866,7 @@ def _variances(experiments: Sequence[FittedChannels], per_entry: bool) -> tuple[
     for data in experiments:
         known = data.record.observed & ~np.isnan(data.predicted)
         counts = counts + known.sum(axis=-1) * (1 + per_entry)
-        if getattr(data.record, "errors", None) is not None:
+        if isinstance(data.record, ResponseMatrix) and data.record.errors is not None:
             losses = losses + np.nansum(np.abs(data.record.in_noise(data.residuals)) ** 2, axis=-1)
             continue
         for weights, _, residuals in pieces([(data.record, data.predicted)]):

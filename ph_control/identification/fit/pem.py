@@ -174,7 +174,8 @@ def pem(
     for name, value, allowed in (
         ("criterion", criterion, CRITERIA), ("structure", structure, ("auto", *STRUCTURES)),
         ("method", method, METHODS), ("representation", representation, REPRESENTATIONS),
-        ("intersample", intersample, ("auto", *BETWEEN_SAMPLES)), ("initial_state", initial_state, ("estimate", "zero")),
+        ("intersample", intersample, ("auto", *BETWEEN_SAMPLES)),
+        ("initial_state", initial_state, ("estimate", "zero")),
     ):  # fmt: skip
         _checks.choice(name, value, allowed)
     check_workers(workers)

@@ -25,6 +25,7 @@ from ...reduction.nearest_passive import nearest_passive
 from ...systems.port_hamiltonian import PortHamiltonian, ph
 from ..data.channels import Recording, ResponseMatrix, several
 from ..data.experiments import as_channels
+from ..data.windowed import response_through
 from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..regression.free_prediction import (
     FittedChannels,
@@ -34,7 +35,6 @@ from ..regression.free_prediction import (
     unknown_samples,
 )
 from ..regression.prediction import FittedExperiment, ResponseBackground, output_gain
-from ..regression.windowed import response_through
 from ..search.circumstances import Finding
 from ..search.modal_search import orders_about
 from ..structure.layout import POWERS, residue_of_unit_weight, weights_of

@@ -19,10 +19,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..data.windowed import crossed_scores, share_errors
 from .elimination import LinearProjection, eliminate, inverse_gram, null_space, orthogonal, without
 from .frequency_rows import FreeResponse
 from .sections import PoleRegion, Sections
-from .shared_errors import crossed_scores, share_errors
 from .spectral_rows import FreeWindow
 from .time_rows import FreeRecord
 from .triangular import reduced
@@ -442,7 +442,10 @@ class FreeProjection(LinearProjection):
             by_poles, by_shared = self.in_rows(place)
             columns = np.zeros((len(by_poles), k + self.shared.size))
             start = k + int(rows.outputs[0]) * len(self.shared)
-            columns[:, :k], columns[:, start : start + len(self.shared)] = by_poles @ self.sections.pole_slopes, by_shared
+            columns[:, :k], columns[:, start : start + len(self.shared)] = (
+                by_poles @ self.sections.pole_slopes,
+                by_shared,
+            )
             jacobians[place] = columns
         inverse = inverse_gram(np.concatenate([reduced(np.asfortranarray(J)) for J in jacobians.values()]))
         turn = np.zeros((2 * n + self.shared.size, k + self.shared.size))

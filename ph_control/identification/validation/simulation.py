@@ -27,9 +27,9 @@ from ...systems.port_hamiltonian import ph
 from ..data.channels import Recording, ResponseMatrix, recording, several
 from ..data.frequency_record import FrequencyRecord, InFrequency
 from ..data.time_record import InTime, Record
+from ..data.windowed import response_through
 from ..diagnosis.fitted_directions import Directions, directions_of, same_data
 from ..fit.pem_result import PEMResult
-from ..regression.windowed import response_through
 
 Kind = Record | FrequencyRecord | Recording | ResponseMatrix
 
