@@ -342,7 +342,10 @@ def _refuse_repeated(role: str, labels: Labels) -> None:
 
 @dataclass(frozen=True)
 class Sampling:
-    """How responses were estimated from samples, as far as it was given: window, step and hold of the input."""
+    """How responses were estimated from samples, as far as it was given: window, step and hold of the input.
+
+    The hold 'sampled' is that of a held input whose responses were not divided by that of the hold.
+    """
 
     window: Any = None
     dt: float | None = None
@@ -372,7 +375,7 @@ class Sampling:
             step = float(data.dt)
             refuse_contradiction(self.dt, step, "the frequency response")
         step = None if step is None else _checks.sampling_step(step)
-        return window_of(self.window, omega, step, "zoh" if self.hold == "auto" else self.hold)
+        return window_of(self.window, omega, step, "zoh" if self.hold in ("auto", "sampled") else self.hold)
 
 
 NO_SAMPLING = Sampling()
@@ -383,7 +386,7 @@ def response_matrix(data: FrequencyResponseData, weights: Any, sampling: Samplin
     sampling = sampling.stated_by(data)
     omega, response = checked_points(data, windowed=sampling.window is not None)
     window = sampling.of(data, omega)
-    if window is not None and data.dt:
+    if window is not None and (data.dt or sampling.hold == "sampled"):
         response = response / window.hold_at(omega)
     names, seen = tuple(data.input_labels), tuple(data.output_labels)
     _refuse_repeated("input", names)

@@ -84,7 +84,8 @@ def _folded(q: ComplexArray, h: float) -> tuple[ComplexArray, ComplexArray]:
     slope = 1 / 3 - small**2 / 15 + 2 * small**4 / 189 - small**6 / 675 + 2 * small**8 / 10395
     exact = 1 / np.tanh(large) - 1 / large
     exact_slope = 1 / large**2 - 1 / np.sinh(large) ** 2
-    return 0.5 * h * np.where(near, series, exact), 0.25 * h**2 * np.where(near, slope, exact_slope)
+    value, derivative = np.where(near, series, exact), np.where(near, slope, exact_slope)
+    return np.asarray(0.5 * h * value, complex), np.asarray(0.25 * h**2 * derivative, complex)
 
 
 def response_through(
