@@ -65,6 +65,15 @@ class SpectralEstimate(ct.FrequencyResponseData):
         self.__dict__.update(state)
         _checks.readonly(self.coherence)
 
+    def __getitem__(self, key: Any) -> SpectralEstimate:
+        """The entry that is selected, with all that is known of the estimate."""
+        entry = super().__getitem__(key)
+        names = {"inputs": entry.input_labels, "outputs": entry.output_labels}
+        estimate = SpectralEstimate(
+            entry.frdata, entry.omega, self.coherence, self.segments, self.step, self.window, self.intersample, **names
+        )
+        return with_unit(estimate, getattr(self, "time_unit", None))
+
     @property
     def nyquist(self) -> float:
         """Highest frequency that the record can show, `pi / step`, rad per unit time."""

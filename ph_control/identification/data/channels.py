@@ -266,8 +266,8 @@ def several(data: Any) -> Recording | ResponseMatrix:
     """The same data as a `Recording` or `ResponseMatrix`, which may have several channels."""
     named = {name: getattr(data, name) for name in ("input_labels", "output_labels", "title", "time_unit")}
     if isinstance(data, FrequencyRecord):
-        more = {"window": data.window, "errors": data.errors}
-        return ResponseMatrix(data.omega, data.response[None, None], data.weights[None, None], **named, **more)
+        response, weights = data.response[None, None], data.weights[None, None]
+        return ResponseMatrix(data.omega, response, weights, **named, window=data.window, errors=data.errors)
     if not isinstance(data, Record):
         return data
     return Recording(data.clock, data.dt, data.u[None][: int(data.driven)], data.y[None], **named)
@@ -374,7 +374,10 @@ def _refuse_repeated(role: str, labels: Labels) -> None:
 
 @dataclass(frozen=True)
 class Sampling:
-    """How responses were estimated from samples, as far as it was given: window, step and hold of the input."""
+    """How responses were estimated from samples, as far as it was given: window, step and hold of the input.
+
+    The hold 'sampled' is that of a held input whose responses were not divided by that of the hold.
+    """
 
     window: Any = None
     dt: float | None = None
@@ -404,7 +407,7 @@ class Sampling:
             step = float(data.dt)
             refuse_contradiction(self.dt, step, "the frequency response")
         step = None if step is None else _checks.sampling_step(step)
-        return window_of(self.window, omega, step, "zoh" if self.hold == "auto" else self.hold)
+        return window_of(self.window, omega, step, "zoh" if self.hold in ("auto", "sampled") else self.hold)
 
 
 NO_SAMPLING = Sampling()
@@ -415,7 +418,7 @@ def response_matrix(data: FrequencyResponseData, weights: Any, sampling: Samplin
     sampling = sampling.stated_by(data)
     omega, response = checked_points(data, windowed=sampling.window is not None)
     window = sampling.of(data, omega)
-    if window is not None and data.dt:
+    if window is not None and (data.dt or sampling.hold == "sampled"):
         response = response / window.hold_at(omega)
     names, seen = tuple(data.input_labels), tuple(data.output_labels)
     _refuse_repeated("input", names)

@@ -252,7 +252,7 @@ def _refuse_mixture(data: Any, weights: Any, first: Any, window: Any) -> None:
         raise StructureError(f"this is {kinds[0]}, the first is {kinds[1]}; fit the two kinds one by one")
     if not spectral and window is not None:
         raise StructureError(
-            "window belongs to frequency responses that were estimated from blocks of a record, and this is the record: "
+            "window belongs to frequency responses that were estimated from blocks of a record, and this is a record: "
             "its fit needs none; leave window out"
         )
     if not spectral and weights is not None:

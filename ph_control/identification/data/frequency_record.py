@@ -34,7 +34,8 @@ class InFrequency(CheckedData):
             return np.asarray(residuals * np.sqrt(self.weights))
         rows = np.empty(residuals.shape, complex)
         for entry in np.ndindex(residuals.shape[:-1]):
-            rows[entry] = self.errors.whitened(*(entry or (0, 0)), residuals[entry][None])[0]
+            output, source = entry or (0, 0)
+            rows[entry] = self.errors.whitened(output, source, residuals[entry][None])[0]
         return rows
 
     @property

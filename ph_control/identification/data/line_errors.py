@@ -33,11 +33,13 @@ class LineErrors:
     def factor(self, output: int, input: int, observed: Mask) -> BandedFactor:
         """That of the errors of an entry where it was observed (K,)."""
         places = np.flatnonzero(observed)
-        return BandedFactor.of(among(self.covariances[output, input], places), among(self.relations[output, input], places))
+        return BandedFactor.of(
+            among(self.covariances[output, input], places), among(self.relations[output, input], places)
+        )
 
     def whitened(self, output: int, input: int, values: ComplexArray) -> ComplexArray:
         """Residuals (k, K) of an entry with errors made white, NaN where one is missing."""
-        observed = ~np.isnan(values).any(axis=0)
+        observed = np.logical_not(np.isnan(values).any(axis=0))
         rows = np.full(values.shape, np.nan, complex)
         if observed.any():
             rows[:, observed] = self.factor(output, input, observed).whitened(values[:, observed])
@@ -62,7 +64,7 @@ def among(bands: ComplexArray, places: Indices) -> ComplexArray:
 
 @dataclass(frozen=True, eq=False)
 class BandedFactor:
-    """Factor `L` (lower, banded) of the covariance `L L^T` of real and imaginary parts of K errors, one after the other.
+    """Factor `L` (lower, banded) of the covariance `L L^T` of the real and imaginary parts of K errors in turn.
 
     `bands` (2 b + 2, 2 K) are its diagonals.
     """

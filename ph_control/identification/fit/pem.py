@@ -14,7 +14,7 @@ from ...modal.discretization import METHODS
 from ..data.experiments import as_channels
 from ..data.hammer import contacts_alone
 from ..data.quantities import ports_of, quantity_of
-from ..diagnosis.verdict import Outcome
+from ..diagnosis.verdict import WHITE, Outcome
 from ..search.circumstances import Cause, Finding
 from ..search.criteria import CRITERIA
 from ..search.progress import Callback
@@ -69,13 +69,18 @@ def pem(
     order : int or 'auto'
         Number of modes n; 'auto' takes the one that `criterion` prefers.
     dt : float, or sequence of float, one for each experiment, optional
-        Time between samples; required with arrays.
+        Time between samples; required with arrays.  Of a response with a window that of the record which it was
+        estimated from; by default its frequencies are taken for neighbouring lines.
     method : {'exact', 'midpoint', 'euler'}
         Discretisation of the model; 'exact' for real recordings, the others for data made by such an integrator,
         which a lossless model is fitted to.
-    intersample : {'auto', 'zoh', 'foh'}
+    intersample : {'auto', 'zoh', 'foh', 'bandlimited'}
         Input between samples: held, or linear; 'auto' takes what the data prefer, where they cannot tell that with
-        which the structure is simpler or shapes are more nearly real, and else 'zoh'.
+        which the structure is simpler or shapes are more nearly real, and else 'zoh'.  Of a response with a window also
+        'bandlimited', as behind the filters of an analyser; a response with a `dt` is that of samples, any other was
+        divided by that of the hold.  'auto' takes what the response states by an attribute `intersample`, and else the
+        first of these that leaves white residuals and
+        a structure with classical damping, if any does, of samples that were not divided by that of the hold as well.
     initial_state : {'estimate', 'zero'}
         Whether the records may start in motion.
     offset : bool or 'auto'
@@ -128,6 +133,10 @@ def pem(
         or coloured, an autoregression of each; or forces that nobody measured, and noise of recorded inputs, which
         come through the plant.  'auto' takes the simplest that the data do not reject.  Of outputs alone 'forces' says
         that wind, traffic or the like kept the plant in motion, and 'auto' whether they did, or a motion decays.
+    window : pair (name, N), or array_like, shape (N,), optional
+        Window of the blocks of N samples, overlapping by half, that frequency responses were estimated from (H1), by
+        its name in `scipy.signal.get_window` or by its values; the input was white or nearly so.  Default: what the
+        data state by an attribute `window`, as `spectral_estimate` does; none otherwise.
 
     Returns
     -------
@@ -158,6 +167,10 @@ def pem(
 
     A mode that is not significant among all the places where noise could have shown one is dropped from an automatic
     choice.  Parts of one record given as two experiments have two initial states to estimate.
+
+    A response that was estimated with a window is fitted as the window shows the modes.  The law of its errors is that
+    of noise and of the motion in which blocks begin, by the modes and the noise of each output that the residuals show:
+    lines are whitened by it, unless `weights` are given, which are those of noise alone.
 
     The force of a hammer counts as 0 outside its contacts where that explains the outputs better than the noise that
     its channel shows there; `findings` say so, and the records of the result have that force.
@@ -196,6 +209,7 @@ def pem(
     quantity = quantity_of(data) if quantity is None else quantity
     ports = ports_of(data, quantity) if ports is None else ports
     channels: Any = as_channels(data, dt, weights=weights, window=window, hold=intersample)
+    others = _otherwise_sampled(data, channels, intersample)
     intersample = _of_records(intersample, channels)
     options = Options.checked(
         channels, order=order, method=method, intersample=intersample, offset=offset, max_order=max_order,
@@ -205,12 +219,39 @@ def pem(
     )  # fmt: skip
     request = request_of(channels, structure, ports, quantity, options)
     start = starting_poles(initial_guess, channels, options)
-    result = _beside_hammer_noise(channels, lambda data, **more: fit_channels(data, request, options, start, **more))
+
+    def fit(data: Any, **more: Any) -> PEMResult:
+        return fit_channels(data, request, options, start, **more)
+
+    result = _beside_hammer_noise(channels, fit)
+    for hold in others:
+        if result.outcome is Outcome.INTERRUPTED or _is_explained(result, structure):
+            break
+        other = fit(as_channels(data, dt, weights=weights, window=window, hold=hold))
+        result = max(result, other, key=_plainness)
     if result.blind:
         warnings.warn(
             result.message, IdentifiabilityWarning, stacklevel=3
         )  # the line that calls the decorated function
     return result
+
+
+def _otherwise_sampled(data: Any, channels: Any, intersample: str) -> tuple[str, ...]:
+    """How windowed responses that do not tell it may have been estimated otherwise."""
+    every = data if isinstance(data, list | tuple) else [data]
+    stated = any(getattr(part, "dt", None) or getattr(part, "intersample", None) for part in every)
+    windowed = all(getattr(part, "window", None) is not None for part in channels)
+    return ("sampled", "bandlimited") if windowed and intersample == "auto" and not stated else ()
+
+
+def _is_explained(result: PEMResult, structure: str) -> bool:
+    """Whether nothing asks for another way in which responses were estimated."""
+    return result.whiteness >= WHITE and (structure != "auto" or result.structure in STRUCTURES[:2])
+
+
+def _plainness(result: PEMResult) -> tuple[bool, int, float]:
+    """White residuals first, then the simplest structure."""
+    return result.whiteness >= WHITE, -STRUCTURES.index(result.structure), result.whiteness
 
 
 def _of_records(intersample: str, channels: Any) -> str:

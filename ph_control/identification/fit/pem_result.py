@@ -26,6 +26,7 @@ from ...systems.port_hamiltonian import PortHamiltonian, ph
 from ..data.channels import Recording, ResponseMatrix, several
 from ..data.experiments import as_channels
 from ..data.time_record import InTime
+from ..data.windowed import response_through
 from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..innovations.ambient import orders_of
 from ..regression.free import Lateness
@@ -37,7 +38,6 @@ from ..regression.free_prediction import (
     unknown_samples,
 )
 from ..regression.prediction import FittedExperiment, ResponseBackground, output_gain
-from ..regression.windowed import response_through
 from ..search.circumstances import Cause, Finding
 from ..search.modal_search import orders_about
 from ..structure.layout import POWERS, residue_of_unit_weight, weights_of

@@ -189,7 +189,11 @@ def _background_line(result: Any) -> list[str]:
     """What a fit of responses has beside its modes, and `system` has not; nothing where that is small."""
     shares = [np.zeros(0)]
     for experiment in result.experiments if result.order else ():
-        modes = result.observed_system(1j * experiment.record.omega, squeeze=False, warn_infinite=False)
+        omega = experiment.record.omega
+        if result.window is not None:
+            modes = result.estimated_response(omega)
+        else:
+            modes = result.observed_system(1j * omega, squeeze=False, warn_infinite=False)
         if np.size(experiment.predicted) != modes.size:
             continue
         predicted = np.reshape(experiment.predicted, modes.shape)

@@ -19,10 +19,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..data.windowed import crossed_scores, share_errors
 from .elimination import LinearProjection, eliminate, inverse_gram, null_space, orthogonal, without
 from .frequency_rows import FreeResponse
 from .sections import PoleRegion, Sections
-from .shared_errors import crossed_scores, share_errors
 from .spectral_rows import FreeWindow
 from .time_rows import FreeRecord
 from .triangular import reduced

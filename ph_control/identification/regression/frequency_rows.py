@@ -13,11 +13,10 @@ from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, Mask
 from ...analysis.spectral_window import SpectralWindow
 from ..data.line_errors import BandedFactor
-from .shared_errors import SharedErrors
+from ..data.windowed import Peaks, SharedErrors, windowed_peaks
 from .spectral_rows import real_rows, stacked, thinned_places
 from .time_rows import Evaluation
 from .tuning import TUNING
-from .windowed import Peaks, windowed_peaks
 
 
 def differentiated(omega: Array, quantity: str) -> ComplexArray:
@@ -140,7 +139,9 @@ class FreeResponse:
     @property
     def direct(self) -> ComplexArray:
         """What is fed through as the response shows it, shape (1, K): of samples, over the response of the hold."""
-        return np.ones((1, len(self.omega)), complex) if self.window is None else 1 / self.window.hold_at(self.omega)[None]
+        return (
+            np.ones((1, len(self.omega)), complex) if self.window is None else 1 / self.window.hold_at(self.omega)[None]
+        )
 
     @cached_property
     def target(self) -> ComplexArray:
@@ -244,8 +245,9 @@ class FreeResponse:
         s, poles = 1j * self.omega, p[:, None]
         least = EPS * np.maximum(np.abs(poles), self.bin)
         ahead, behind = (np.where(gap == 0, least, gap) for gap in (s - poles, s - poles.conj()))
-        ahead, behind = 1.0 / ahead, 1.0 / behind
-        return Peaks(ahead, behind, ahead**2, behind**2)
+        values = np.asarray(1.0 / ahead, complex), np.asarray(1.0 / behind, complex)
+        squares = np.asarray(values[0] ** 2, complex), np.asarray(values[1] ** 2, complex)
+        return Peaks(values[0], values[1], squares[0], squares[1])
 
 
 def terms_in(coefficients: ComplexArray) -> tuple[Term, ...]:

@@ -24,11 +24,11 @@ from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
+from ..data.windowed import SharedErrors
 from ..regression.elimination import orthogonal, without
 from ..regression.free import Delays, FreeProjection, Lateness, refine_free
 from ..regression.frequency_rows import FURTHER_TERMS, FreeResponse, Term
 from ..regression.sections import PoleRegion, Sections
-from ..regression.shared_errors import SharedErrors
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Progress
@@ -1322,11 +1322,12 @@ def _responses(
             first, seen = members[0], observed[members[0]]
             scale = np.sqrt(weights[first] / weights[first][seen].mean())
             response = np.where(seen, entries[members], 0.0)
-            white = channel.errors and channel.errors.factor(*divmod(first, channel.response.shape[1]), seen)
+            output, source = divmod(first, channel.response.shape[1])
+            white = None if channel.errors is None else channel.errors.factor(output, source, seen)
             rows = FreeResponse(
                 channel.omega, response, scale, seen, kind, np.array(members), window=channel.window, white=white,
                 shared_errors=_shared_errors(channel, first, seen),
-            )
+            )  # fmt: skip
             responses.append(rows.on_background())
     if delay is None or not delay.any():
         return responses
@@ -1336,10 +1337,11 @@ def _responses(
 def _shared_errors(channel: ResponseMatrix, entry: int, seen: Mask) -> SharedErrors | None:
     """What an entry of several has in common with others."""
     inputs = channel.response.shape[1]
-    if channel.errors is None or channel.errors.law is None or channel.window is None or channel.response[..., 0].size < 2:
+    law = None if channel.errors is None else channel.errors.law
+    if channel.errors is None or law is None or channel.window is None or len(channel.response) * inputs < 2:
         return None
     place, lines = divmod(entry, inputs), channel.window.lines(channel.omega[seen])
-    return SharedErrors.of(channel.errors.law, place, float(channel.errors.noise[place[0]]), lines)
+    return SharedErrors.of(law, place, float(channel.errors.noise[place[0]]), lines)
 
 
 def _refuse_unmeasured(matrix: ResponseMatrix, measured: Array) -> None:

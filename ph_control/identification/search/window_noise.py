@@ -20,10 +20,10 @@ from ..._types import Array, ComplexArray, Indices
 from ...analysis.spectral_window import SpectralWindow
 from ..data.channels import ResponseMatrix
 from ..data.line_errors import BandedFactor, LineErrors
+from ..data.windowed import WindowErrors, error_bands
 from ..regression.free import FreeProjection, by_poles
 from ..regression.frequency_rows import FreeResponse
 from ..regression.spectral_rows import real_rows
-from ..regression.windowed import WindowErrors, error_bands
 
 if TYPE_CHECKING:
     from .modal_search import FreeFit

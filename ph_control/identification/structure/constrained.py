@@ -18,10 +18,10 @@ from scipy.optimize import nnls
 from ..._checks import EPS
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..data.windowed import crossed_scores, share_errors
 from ..regression.elimination import LinearProjection, tolerance
 from ..regression.free import Delays, FreeProjection, GivenResidues, Sensitivity
 from ..regression.sections import PoleRegion
-from ..regression.shared_errors import crossed_scores, share_errors
 from ..regression.triangular import reduced
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Refinement, continue_refinement, refine

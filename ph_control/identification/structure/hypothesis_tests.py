@@ -10,10 +10,10 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ..._checks import EPS
+from ..data.windowed import share_errors
 from ..diagnosis.verdict import HypothesisTest
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.sections import PoleRegion
-from ..regression.shared_errors import share_errors
 from .constrained import Approach, StructuredFit, constrained, is_crowded, nearest_passive_fit
 from .layout import ChannelLayout
 

@@ -469,14 +469,15 @@ def _residual_data(
     def series(values: list[NDArray[Any]]) -> list[Array]:
         return [part for array in values for part in (array.real, array.imag)] if spectral else values
 
-    weights = [record.weights if isinstance(record, FrequencyRecord) else np.ones(record.samples) for record in records]
+    weights = [_weights(record, answer) for record, answer in zip(records, answers, strict=True)]
     largest = max(float(np.max(weight)) for weight in weights)
     scales = [np.sqrt(weight / largest) for weight in weights]
-    unit = (
-        max(float(np.nanmax(np.abs(scale * residual))) for scale, residual in zip(scales, residuals, strict=True))
-        or 1.0
-    )
-    residuals = [scale * residual / unit for scale, residual in zip(scales, residuals, strict=True)]
+    residuals = [
+        _in_noise(residual[:, None], scale, answer)[:, 0]
+        for residual, scale, answer in zip(residuals, scales, answers, strict=True)
+    ]
+    unit = max(float(np.nanmax(np.abs(residual))) for residual in residuals) or 1.0
+    residuals = [residual / unit for residual in residuals]
     noise = noise_scales([np.abs(residual) for residual in residuals])
     scales = [scale / size for scale, size in zip(scales, noise, strict=True)]
     joined = np.concatenate(series([residual / size for residual, size in zip(residuals, noise, strict=True)]))
@@ -502,6 +503,22 @@ def _directions(answers: list[Simulation], scales: list[Array]) -> tuple[list[ND
     width = max(directions.shared.shape[1] for directions in fitted)
     # poles come last; a free motion has no residues before them
     shared = [np.pad(directions.shared, ((0, 0), (width - directions.shared.shape[1], 0))) for directions in fitted]
-    return [scale[:, None] * columns for scale, columns in zip(scales, shared, strict=True)], [
-        directions.local for directions in fitted
-    ]
+    return [
+        _in_noise(columns, scale, answer) for columns, scale, answer in zip(shared, scales, answers, strict=True)
+    ], [directions.local for directions in fitted]
+
+
+def _weights(record: Kind, answer: Simulation) -> Array:
+    """Weights of squared errors."""
+    if answer.errors is not None:
+        return np.asarray(answer.errors.weights[0, 0])
+    return record.weights if isinstance(record, FrequencyRecord) else np.ones(record.samples)
+
+
+def _in_noise(columns: NDArray[Any], scale: Array, answer: Simulation) -> NDArray[Any]:
+    """Columns (T, k) in a scale, made such that errors which are correlated are white."""
+    if answer.errors is None:
+        return np.asarray(scale[:, None] * columns)
+    # the factor beyond the weights
+    known = np.median(scale / np.sqrt(answer.errors.weights[0, 0]))
+    return np.asarray(known * answer.errors.whitened(0, 0, columns.T).T)

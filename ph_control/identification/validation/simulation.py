@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import control as ct
@@ -26,11 +27,12 @@ from ...systems.canonical_forms import ObservableHamiltonian
 from ...systems.port_hamiltonian import ph
 from ..data.channels import Recording, ResponseMatrix, recording, several
 from ..data.frequency_record import FrequencyRecord, InFrequency
+from ..data.line_errors import LineErrors
 from ..data.time_record import InTime, Record
+from ..data.windowed import response_through
 from ..diagnosis.fitted_directions import Directions, directions_of, same_data
 from ..fit.pem_result import PEMResult
 from ..fit.prediction_ahead import ahead, ahead_of_growth, grows, is_simulated
-from ..regression.windowed import response_through
 
 Kind = Record | FrequencyRecord | Recording | ResponseMatrix
 
@@ -46,13 +48,15 @@ class Simulation:
     `output` has shape (T,), or is complex of shape (K,) for a frequency response; (p, T) or (p, m, K) of several
     channels, of which there are no directions.  `directions()` are its derivatives
     by all that was estimated from these data: noise along them is missing from the residuals.  `own` tells the data
-    that the model itself was fitted to, and `past` how many coefficients of the noise foretell it there.
+    that the model itself was fitted to, and `past` how many coefficients of the noise foretell it there.  `errors` are
+    those of a response that was estimated with a window.
     """
 
     output: NDArray[Any]
     directions: Callable[[], Directions]
     own: bool = False
     past: int = 0
+    errors: LineErrors | None = None
 
 
 @dataclass(frozen=True)
@@ -232,9 +236,11 @@ def _answer_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules) -> 
     _matching(model, label, record)
     place = next((k for k, data in enumerate(model.experiments) if same_data(record, data.record)), None)
     if place is not None and _keeps_its_state(model.experiments[place], rules.initial_state):
-        return Simulation(model.experiments[place].predicted, lambda: _own_directions(model, place), True)
+        own = partial(_own_directions, model, place)
+        return Simulation(model.experiments[place].predicted, own, True, _errors_at(model, record))
     if isinstance(record, FrequencyRecord | ResponseMatrix):
-        return Simulation(_response(model, label, record), lambda: _no_directions(record))
+        answer = _response(model, label, record)
+        return Simulation(answer, lambda: _no_directions(record), errors=_errors_at(model, record))
     steps = [data.record.dt for data in model.experiments if isinstance(data.record, InTime)]
     if model.method != "exact" and steps and all(abs(record.dt - h) > _STEP_TOLERANCE * record.dt for h in steps):
         raise StructureError(
@@ -293,6 +299,14 @@ def _ahead(answer: Simulation, model: PEMResult, record: Kind, rules: Rules) -> 
         ahead(model, simulated, y, data.dt, horizon)
     )  # fmt: skip
     return Simulation(shaped(predicted), directions, answer.own, past)
+
+
+def _errors_at(model: PEMResult, record: Kind) -> LineErrors | None:
+    """Errors of windowed responses at the frequencies of a record, as a fit to such has them."""
+    if not isinstance(record, InFrequency) or record.window is None:
+        return None
+    every: list[Any] = [data.record for data in model.experiments if isinstance(data.record, InFrequency)]
+    return next((data.errors for data in every if np.array_equal(data.omega, record.omega)), None)
 
 
 def _own_directions(model: PEMResult, place: int) -> Directions:

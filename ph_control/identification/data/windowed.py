@@ -7,6 +7,7 @@ motion and noise, have a law that depends on the modes and on the ratio of noise
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,8 +16,7 @@ import numpy as np
 from ..._types import Array, ComplexArray, Indices, NDArray
 from ...analysis.spectral_window import SpectralWindow
 from ...modal.discretization import Hold
-from ..data.line_errors import among
-from .modal_regressors import SampledModes
+from .line_errors import BandedFactor, among
 
 _BEYOND = 2  # lines beyond the reach of a window that errors share something with
 _LONGEST = 0.02  # lines: half-width of a peak; of longer modes the motion at the beginning of blocks has no bound
@@ -37,21 +37,22 @@ def windowed_peaks(window: SpectralWindow, omega: Array, p: ComplexArray) -> Pea
     r, k = window.correlation, np.arange(window.length - 1)
     if window.hold == "bandlimited":
         return _bandlimited(window, omega, p)
-    step = SampledModes.of(Hold(window.step, "exact", window.hold), p)
+    b0, b1, b0_slope, b1_slope = (
+        part[:, None] for part in Hold(window.step, "exact", window.hold).weights_and_derivatives(p)
+    )
     log = p[:, None] * window.step
     powers = np.exp(log * k)  # of the answer after a sample or more
     lam = np.exp(log)
-    weight, b1 = step.b0[:, None] + lam * step.b1[:, None], step.b1[:, None]
-    weight_slope = step.b0_slope[:, None] + lam * (step.b1_slope + window.step * step.b1)[:, None]
+    weight, weight_slope = b0 + lam * b1, b0_slope + lam * (b1_slope + window.step * b1)
     fading = r[1:] * powers
     values = np.concatenate([b1, weight * fading], axis=1)
-    slopes = np.concatenate([step.b1_slope[:, None], (weight_slope + weight * (k * window.step)) * fading], axis=1)
+    slopes = np.concatenate([b1_slope, (weight_slope + weight * (k * window.step)) * fading], axis=1)
     pairs = [_transforms(each, window, omega) for each in (values, slopes)]
     held = window.hold_at(omega)
     return Peaks(*(part / held for part in (pairs[0][0], pairs[0][1], pairs[1][0], pairs[1][1])))
 
 
-def _transforms(values: ComplexArray, window: SpectralWindow, omega: Array) -> tuple[ComplexArray, ComplexArray]:
+def _transforms(values: Any, window: SpectralWindow, omega: Array) -> tuple[Any, Any]:
     """Transforms (n, K) of answers (n, N), and those of the conjugate answers."""
     if window.has_lines(omega):
         lines, transform = window.lines(omega), np.fft.fft(values)
@@ -71,9 +72,7 @@ def _bandlimited(window: SpectralWindow, omega: Array, p: ComplexArray) -> Peaks
     values, slopes = (_transforms(each, window, omega) for each in (fading, fading * (k * h)))
     s = 1j * omega
     folded = [_folded(pole[:, None] - s, h) for pole in (p, p.conj())]
-    return Peaks(
-        values[0] + folded[0][0], values[1] + folded[1][0], slopes[0] + folded[0][1], slopes[1] + folded[1][1]
-    )
+    return Peaks(values[0] + folded[0][0], values[1] + folded[1][0], slopes[0] + folded[0][1], slopes[1] + folded[1][1])
 
 
 def _folded(q: ComplexArray, h: float) -> tuple[ComplexArray, ComplexArray]:
@@ -85,7 +84,8 @@ def _folded(q: ComplexArray, h: float) -> tuple[ComplexArray, ComplexArray]:
     slope = 1 / 3 - small**2 / 15 + 2 * small**4 / 189 - small**6 / 675 + 2 * small**8 / 10395
     exact = 1 / np.tanh(large) - 1 / large
     exact_slope = 1 / large**2 - 1 / np.sinh(large) ** 2
-    return 0.5 * h * np.where(near, series, exact), 0.25 * h**2 * np.where(near, slope, exact_slope)
+    value, derivative = np.where(near, series, exact), np.where(near, slope, exact_slope)
+    return np.asarray(0.5 * h * value, complex), np.asarray(0.25 * h**2 * derivative, complex)
 
 
 def response_through(
@@ -157,16 +157,16 @@ def error_bands(
     """
     N, first, last = window.length, int(lines.min()), int(lines.max())
     some = np.arange(first, last + 1)
-    m = np.arange(-(N - 1), N)
+    m = np.arange(-(N - 1.0), N)
     plant = _Sampled.of(window, p, residues, feedthrough)
-    held = window.hold_at(some * window.line)
+    held = window.hold_at(np.asarray(some * window.line))
     power, width = window.overlaps(0)[N - 1].real, min(window.reach + 1 + _BEYOND, len(some))
     shifts = [0, *(sign * shift for shift in range(window.shift, N, window.shift) for sign in (1, -1))]
     q, inputs = feedthrough.shape
     noise = np.zeros((width, len(some)), complex)
     motion = np.zeros((q, q, width, len(some)), complex)
     crossed = np.zeros((2, q, inputs, len(shifts), width, len(some)), complex)
-    H = np.fft.fft(plant.answers(np.arange(N)) * window.correlation)  # (q, m, N)
+    H = np.fft.fft(plant.answers(np.arange(float(N))) * window.correlation)  # (q, m, N)
     for d in range(width):
         overlaps, ahead = window.overlaps(-d), (some + d) % N  # between lines k + d and k
         H_ahead, H_here = H[..., ahead], H[..., some].conj()
@@ -211,10 +211,10 @@ class _Sampled:
         # motion that never ends would have no bound
         p = np.minimum(p.real, -_LONGEST * window.line) + 1j * p.imag
         hold = "zoh" if window.hold == "bandlimited" else window.hold
-        step = SampledModes.of(Hold(window.step, "exact", hold), p)
+        b0, b1 = Hold(window.step, "exact", hold).weights(p)
         lam = np.exp(p * window.step)
-        weights = residues * (step.b0 + lam * step.b1)[:, None, None]
-        first = feedthrough + 2 * np.einsum("l,lqi->qi", step.b1, residues).real
+        weights = residues * (b0 + lam * b1)[:, None, None]
+        first = feedthrough + 2 * np.einsum("l,lqi->qi", b1, residues).real
         return cls(first, np.concatenate([weights, weights.conj()]), np.concatenate([lam, lam.conj()]))
 
     @property
@@ -239,3 +239,81 @@ class _Sampled:
         ahead = np.einsum("lab,lk->abk", shapes_later, self._powers(np.abs(k) - 1)).real
         there = (shapes.sum(axis=0).real + self.first @ self.first.T)[..., None]
         return np.asarray(np.where(k == 0, there, np.where(k > 0, ahead, np.swapaxes(ahead, 0, 1))))
+
+
+# --- what entries have in common ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class SharedErrors:
+    """What the errors of an entry (output, input) have in common with those of others, by the `law` of all.
+
+    Outputs show the same motion from before a block, and what they say of a mode must not count twice.  Rows of each
+    entry are white, and entries are eliminated one by one; what they share enters covariances and tests afterwards.
+    """
+
+    law: WindowErrors
+    entry: tuple[int, int]
+    noise: float
+    lines: Indices
+    factor: BandedFactor  # of the errors of this entry, by the law
+
+    @classmethod
+    def of(cls, law: WindowErrors, entry: tuple[int, int], noise: float, lines: Indices) -> SharedErrors:
+        """That of an entry at some lines, of an output with such noise."""
+        covariance = law.covariance(lines, (entry[0],) * 2, noise)
+        return cls(law, entry, noise, lines, BandedFactor.of(covariance, law.relation(lines, entry, entry)))
+
+    def times(self, other: SharedErrors, rows: Array) -> Array:
+        """Covariance of the errors of this entry in its rows with those of another, times some of its rows (2 K, k)."""
+        turned = _joined(other.factor.turned_back(rows))
+        every = np.zeros((self.law.noise.shape[1], rows.shape[1]), complex)
+        every[other.lines - self.law.first] = turned
+        (a, i), (b, j) = self.entry, other.entry
+        ahead, behind = self.law.relation_at(self.entry, other.entry), self.law.relation_at(other.entry, self.entry)
+        products = _banded(ahead, behind, every.conj())
+        if i == j:
+            products = products + _banded(self.law.motion[a, b], self.law.motion[b, a].conj(), every)
+        here = 0.5 * products[self.lines - self.law.first]
+        return _parted(self.factor.whitened(here.T).T)
+
+
+def _banded(ahead: ComplexArray, behind: ComplexArray, values: ComplexArray) -> ComplexArray:
+    """Product of a banded matrix with columns: entries (k + d, k) of it are `ahead`, (k, k + d) `behind`."""
+    product = ahead[0][:, None] * values
+    for d in range(1, len(ahead)):
+        product[d:] += ahead[d, :-d, None] * values[:-d]
+        product[:-d] += behind[d, :-d, None] * values[d:]
+    return product
+
+
+def _joined(parts: Array) -> ComplexArray:
+    """Real parts, then imaginary ones, as complex numbers."""
+    half = len(parts) // 2
+    return np.asarray(parts[:half] + 1j * parts[half:])
+
+
+def _parted(values: ComplexArray) -> Array:
+    return np.concatenate([values.real, values.imag])
+
+
+def share_errors(experiments: Sequence[Any]) -> bool:
+    """Whether rows of several entries have errors in common."""
+    return sum(getattr(rows, "shared_errors", None) is not None for rows in experiments) > 1
+
+
+def crossed_scores(experiments: Sequence[Any], jacobians: Mapping[int, Array]) -> Array:
+    """Covariance of `sum J^T e` over the rows of all experiments beyond `sum J^T J`, by what entries share.
+
+    `jacobians[k]` (2 K, unknowns) is that of the rows of experiment k, whose own unknowns have been eliminated.
+    """
+    places = [k for k in jacobians if getattr(experiments[k], "shared_errors", None) is not None]
+    size = next(iter(jacobians.values())).shape[1]
+    scores = np.zeros((size, size))
+    for place, k in enumerate(places):
+        for l in places[:place]:
+            first, second = experiments[k].shared_errors, experiments[l].shared_errors
+            if first.law is second.law:
+                part = jacobians[k].T @ first.times(second, jacobians[l])
+                scores += part + part.T
+    return scores
