@@ -119,7 +119,7 @@ def _beginning(state: Array, z: ComplexArray, samples: int) -> ComplexArray:
 
 def pieces(count: int, size: int, stride: int = 1) -> Iterator[slice]:
     """Slices of so many bins, each of which has a number of numbers; every `stride` of them."""
-    every = stride * max(1, _AT_A_TIME // size)
+    every = stride * max(1, _AT_A_TIME // max(1, size))
     for first in range(0, count, every):
         yield slice(first, min(count, first + every), stride)
 
@@ -390,6 +390,8 @@ class Evaluation:
         """Gram matrix of the Jacobian of errors of covariance 1, and half the gradient."""
         size = len(self.problem.vector(self.point))
         gram, gradient = np.zeros((size, size)), np.zeros(size)
+        if not size:
+            return gram, gradient
         alone = self.problem.coloured and not any(experiment.rows for experiment in self.problem.experiments)
         for errors, J, counts in self._jacobians():
             if not alone:
