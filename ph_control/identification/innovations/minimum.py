@@ -417,9 +417,11 @@ class Evaluation:
         size = len(self.problem.vector(self.point))
         if not self.problem.coloured:
             return np.zeros((size, 0))
-        inner, first = self.point.noise.bases(self.problem.real_shapes), len(self.point.noise.sections.x)
+        noise, first = self.point.noise, len(self.point.noise.sections.x)
+        inner, matrices = noise.bases(self.problem.real_shapes, self.point.states), 2 * noise.C.size
         bases = np.zeros((size, inner.shape[1] + len(self._held)))
-        bases[first : first + len(inner), : inner.shape[1]] = inner
+        bases[first : first + matrices, : inner.shape[1]] = inner[:matrices]
+        bases[size - (len(inner) - matrices) :, : inner.shape[1]] = inner[matrices:]
         bases[self._held, inner.shape[1] + np.arange(len(self._held))] = 1.0
         return bases
 

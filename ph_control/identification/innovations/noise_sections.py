@@ -8,7 +8,7 @@ reference `w` of its own: smooth through critical damping.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -147,19 +147,23 @@ class NoiseSections:
             transfer[:, :, row] = self.C[:, row] / (z[:, 0] - self.A[row, row])
         return transfer
 
-    def bases(self, real_shapes: bool = False) -> Array:
-        """Directions in `(C, K)` that change the bases of the states alone, orthonormal columns (2 p N, .).
+    def bases(self, real_shapes: bool = False, starts: Sequence[Array] = ()) -> Array:
+        """Directions in `(C, K, *starts)` that change the bases of the states alone, orthonormal columns.
 
-        They are N; where outputs see the first state of each mode alone, one fewer for each mode.
+        `starts` are states (N,) of records.  There are N directions; where outputs see the first state of each mode
+        alone, one fewer for each mode.
         """
         directions = []
         for first, block in self._commuting(real_shapes):
             place = slice(first, first + len(block))
             C, K = np.zeros(self.C.shape), np.zeros(self.K.shape)
             C[:, place], K[place] = self.C[:, place] @ block, -block @ self.K[place]
-            directions.append(np.concatenate([C.ravel(), K.ravel()]))
+            moved = np.zeros((len(starts), self.states))
+            for row, start in zip(moved, starts, strict=True):
+                row[place] = -block @ start[place]
+            directions.append(np.concatenate([C.ravel(), K.ravel(), moved.ravel()]))
         if not directions:
-            return np.zeros((2 * self.C.size, 0))
+            return np.zeros((2 * self.C.size + len(starts) * self.states, 0))
         return np.asarray(np.linalg.qr(np.array(directions).T)[0])
 
     def _commuting(self, real_shapes: bool) -> Iterator[tuple[int, Array]]:
