@@ -17,6 +17,7 @@ import numpy as np
 from ..._types import Array, ComplexArray
 from ..regression.sections import Sections
 
+_WELL = 1e6  # condition of the modes of a predictor
 _NEAR = 1e-4  # square of an angle below which a series has all digits
 
 
@@ -120,12 +121,37 @@ class NoiseSections:
             closed = self.A - self.K @ self.C
         return bool(np.isfinite(closed).all() and np.abs(np.linalg.eigvals(closed)).max(initial=0.0) < 1)
 
-    def resolve(self, z: ComplexArray, values: ComplexArray) -> ComplexArray:
-        """States `(z - A)^{-1} values`, of values (N, ..., bins)."""
+    @cached_property
+    def _predictor(self) -> tuple[ComplexArray, ComplexArray, ComplexArray] | None:
+        """Poles of the predictor (N,), `C` and `K` in its own modes; None where these are too near to one another."""
+        poles, vectors = np.linalg.eig(self.A - self.K @ self.C)
+        if len(poles) and not np.linalg.cond(vectors) < _WELL:
+            return None
+        return poles, self.C @ vectors, np.linalg.solve(vectors, self.K)
+
+    def errors(self, z: ComplexArray, y: ComplexArray) -> ComplexArray:
+        """Prediction errors `H^{-1} y` of outputs (p, bins)."""
+        if self._predictor is None:
+            H = np.eye(len(self.C)) + self.outputs_of_states(z) @ self.K
+            return np.asarray(np.linalg.solve(H, y.T[:, :, None])[:, :, 0].T)
+        poles, C, K = self._predictor
+        return np.asarray(y - C @ ((K @ y) / (z - poles[:, None])))
+
+    def adjoint_errors(self, z: ComplexArray, e: ComplexArray) -> ComplexArray:
+        """The adjoint `H^{-*} e` of values (p, bins)."""
+        if self._predictor is None:
+            H = np.eye(len(self.C)) + self.outputs_of_states(z) @ self.K
+            return np.asarray(np.linalg.solve(H.conj().transpose(0, 2, 1), e.T[:, :, None])[:, :, 0].T)
+        poles, C, K = self._predictor
+        return np.asarray(e - K.conj().T @ ((C.conj().T @ e) / (z - poles[:, None]).conj()))
+
+    def resolve(self, z: ComplexArray, values: ComplexArray, transposed: bool = False) -> ComplexArray:
+        """States `(z - A)^{-1} values`, of values (N, ..., bins); with the transposed `A` if wanted."""
         k, resolved = self.pairs, np.empty(values.shape, complex)
         first, second = values[0 : 2 * k : 2], values[1 : 2 * k : 2]
         shape = (k, *(1,) * (values.ndim - 1))
         a, b, c = (self.blocks[:, i, j].reshape(shape) for i, j in ((0, 0), (0, 1), (1, 0)))
+        b, c = (c, b) if transposed else (b, c)
         over = 1.0 / ((z - a) ** 2 - b * c)
         resolved[0 : 2 * k : 2] = ((z - a) * first + b * second) * over
         resolved[1 : 2 * k : 2] = ((z - a) * second + c * first) * over
