@@ -130,7 +130,12 @@ def test_an_output_that_saturates_is_told_with_the_ends_of_its_range():
 def test_ambient_excitation_is_told_from_a_free_decay():
     _, y = recording(2, 2, 1, "white", 1)
     ambient = phc.pem((None, y), 2, dt=1.0)
-    assert "AMBIENT" in causes(ambient) and ambient.outcome.name == "CONSISTENT"
+    assert ambient.is_ambient and "Forces that nobody measured" in ambient.message
+    assert ambient.outcome.name == "CONSISTENT"
+    # with samples missing it is taken as a decay, and the doubt is told
+    y[0, 7] = np.nan
+    doubtful = phc.pem((None, y), 2, dt=1.0)
+    assert "such as wind or traffic" in doubtful.message and doubtful.outcome.name == "DOUBTFUL"
     t, noise = np.arange(600), 0.01 * np.random.default_rng(0).standard_normal((2, 600))
     decay = [[1.0], [0.7]] * np.exp(-0.01 * t) * np.cos(0.5 * t) + noise
     assert "AMBIENT" not in causes(phc.pem((None, decay), 1, dt=1.0))

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from ..._display import p_value
 from ..._types import Array, ComplexArray
@@ -168,11 +169,13 @@ def _experiments(
 ) -> tuple[tuple[FittedChannels, ...], float]:
     """What the fit says of each experiment, predictions one step ahead; and the p-value of white prediction errors."""
     experiments, errors, p = [], list[Array](), len(fit.scales)
+    root = np.linalg.cholesky(fit.evaluation.covariance)
     triples = zip(channels, fit.evaluation.problem.experiments, fit.evaluation.errors, strict=True)
     for k, (channel, experiment, spectrum) in enumerate(triples):
-        left = np.fft.irfft(spectrum, channel.samples) * np.sqrt(experiment.samples) * fit.scales[:, None]
-        errors.extend(left)
-        predicted = channel.y - left
+        left = np.fft.irfft(spectrum, channel.samples) * np.sqrt(experiment.samples)
+        # the test takes series that are independent of one another
+        errors.extend(solve_triangular(root, left, lower=True))
+        predicted = channel.y - left * fit.scales[:, None]
         experiments.append(
             FittedChannels(channel, np.zeros((poles, p), complex), fit.means[k], np.zeros(p), predicted)
         )

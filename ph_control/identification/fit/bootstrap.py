@@ -246,6 +246,11 @@ class Resampled:
         check_workers(workers)
         if not self.states:
             raise StructureError("this result has no poles, and there is nothing to refit")
+        if self.is_ambient:
+            raise StructureError(
+                "this fit is to ambient excitation, whose likelihood has the forces as noise: its stderr and "
+                "confidence_interval have them; a bootstrap resamples noise beside a known motion"
+            )
         if not self.success:
             raise IdentificationError(
                 "the estimate is not a minimum of its loss, as its refinement did not come to an end; refits would "

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtrc
 
+from ..._display import counted
 from ...exceptions import IdentificationError, StructureError
 from ..data.channels import Recording
 from ..diagnosis.hum import Tones, tones_near
@@ -85,8 +86,9 @@ def _nothing_fits(channels: Sequence[Recording], order: int | None, real_poles: 
     lengths = ", ".join(str(data.samples) for data in channels)
     if order is None and real_poles is None:
         return (
-            f"records of {lengths} samples are too short for a model of forces that nobody measured: leave noise out, "
-            "or record longer"
+            f"records of {lengths} samples are too short for a model of forces that nobody measured, or one of the "
+            f"{counted(len(channels[0].y), 'output')} is a combination of others: leave that one out, record longer, or "
+            "leave noise out"
         )
     wanted = [f"{count} {name}" for count, name in ((order, "modes"), (real_poles, "real poles")) if count is not None]
     return (

@@ -30,6 +30,7 @@ _NEAR = 60.0  # of the smallest BIC: what refinement may make up for
 _STEPS = 12  # of these
 _BINS = 1 << 14  # that orders are compared in
 _REAL = 4  # real poles at most beside modes whose number is given
+_SAME = 1e-13  # of the variance of outputs: what others leave of one that is a combination of these
 _PATIENCE = 8  # states more without a better criterion
 
 
@@ -143,7 +144,7 @@ def ambient_fit(
     Returns
     -------
     AmbientFit or None
-        None where the records are too short for any model.
+        None where the records are too short for any model, or an output is a combination of others.
 
     Notes
     -----
@@ -151,7 +152,7 @@ def ambient_fit(
     states on the way, O(T p^3 N^2) a step of those that are refined.
     """
     data = _Standardised.of(channels)
-    if data.longest < 2:
+    if data.longest < 2 or not data.is_independent:
         return None
     more = real_poles if real_poles is not None else _REAL if order is not None else 1
     most = 2 * (max_order if order is None else order) + more
@@ -222,6 +223,12 @@ class _Standardised:
         outputs = [y / scales[:, None] for y in outputs]
         problem = Problem([Experiment.of_outputs(y) for y in outputs], np.zeros((0, len(scales)), bool))
         return cls(problem, outputs, scales, means)
+
+    @property
+    def is_independent(self) -> bool:
+        """Whether no output is a combination of others."""
+        S = sum(y @ y.T for y in self.outputs) / self.problem.samples
+        return bool(np.linalg.eigvalsh(S).min() > len(S) * _SAME)
 
     @property
     def longest(self) -> int:

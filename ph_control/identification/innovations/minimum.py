@@ -27,6 +27,7 @@ from .noise_sections import NoiseSections
 
 _AT_A_TIME = 1 << 22  # numbers of a Jacobian
 _BINS = 1 << 13  # of an experiment that the information is made of
+_IN_WIDTH = 4.0  # of these at least lie within the half-power width of each mode
 _STEPS = 60
 _APART = 1e-4  # of their distance from 0: so near to one another poles of a section come
 _GROWTH, _LARGEST_DAMPING = 4.0, 1e8
@@ -120,7 +121,7 @@ def _beginning(state: Array, z: ComplexArray, samples: int) -> ComplexArray:
 
 def pieces(count: int, size: int, stride: int = 1) -> Iterator[slice]:
     """Slices of so many bins, each of which has a number of numbers; every `stride` of them."""
-    every = stride * max(1, _AT_A_TIME // size)
+    every = stride * max(1, _AT_A_TIME // max(1, size))
     for first in range(0, count, every):
         yield slice(first, min(count, first + every), stride)
 
@@ -228,8 +229,7 @@ class Evaluation:
         for experiment, V in zip(self.problem.experiments, self.left, strict=True):
             each = np.empty(V.shape, complex)
             for bins in pieces(len(experiment.z), self.p * (self.p + noise.states)):
-                H = np.eye(self.p) + noise.outputs_of_states(experiment.z[bins]) @ noise.K
-                each[:, bins] = np.linalg.solve(H, V[:, bins].T[:, :, None])[:, :, 0].T
+                each[:, bins] = noise.errors(experiment.z[bins], V[:, bins])
             errors.append(each)
         return errors
 
@@ -271,21 +271,63 @@ class Evaluation:
         return W.reshape(self.p, len(z), self.p).transpose(1, 0, 2), seen
 
     def _jacobians(self) -> Iterator[tuple[ComplexArray, ComplexArray, Array]]:
-        """Blocks of bins: errors of covariance 1 (rows,), their Jacobian (rows, P), and what each row counts.
-
-        Of outputs alone bins are thinned where there are many: the information is smooth over frequency.
-        """
+        """Blocks of bins: errors of covariance 1 (rows,), their Jacobian (rows, P), and what each row counts."""
         problem, width = self.problem, len(self.problem.vector(self.point))
         for place, (experiment, errors) in enumerate(zip(problem.experiments, self.errors, strict=True)):
-            stride = max(1, len(experiment.z) // _BINS) if not experiment.rows else 1
-            for bins in pieces(len(experiment.z), width * self.p, stride):
+            for bins in pieces(len(experiment.z), width * self.p):
                 z, e = experiment.z[bins], errors[:, bins]
                 W, seen = self._whitening(z)
                 J = np.zeros((len(z), self.p, width), complex)
                 self._fill(J, place, bins, z, W, e, seen)
                 rows = solve_triangular(self._root, e, lower=True).T
-                counts = np.repeat(stride * experiment.counts[bins], self.p)
+                counts = np.repeat(experiment.counts[bins], self.p)
                 yield rows.ravel(), J.reshape(-1, width), counts
+
+    def _gram_of_noise(self) -> Array:
+        """Gram matrix of the Jacobian, of outputs alone: most columns are products of two factors in each bin.
+
+        Bins are thinned where they are many, as far as modes remain wide: the information is smooth over frequency.
+        """
+        noise, problem, p, N = self.point.noise, self.problem, self.p, self.point.noise.states
+        few, both = len(noise.sections.x), 2 * p * N
+        size = len(problem.vector(self.point))
+        gram = np.zeros((size, size))
+        slim = np.concatenate([np.arange(few), np.arange(few + both, size)])  # coordinates of sections, first states
+        of_C, of_K = slice(few, few + p * N), slice(few + p * N, few + both)
+        for place, (experiment, errors) in enumerate(zip(problem.experiments, self.errors, strict=True)):
+            for bins, counts in self._thinned(experiment):
+                z, e = experiment.z[bins], errors[:, bins]
+                W, seen = self._whitening(z)
+                through, states = W @ seen, self._states(place, z, e)
+                J = np.zeros((len(z), p, len(slim)), complex)
+                for k, (first, block) in enumerate(noise.slopes):
+                    these = slice(first, first + len(block))
+                    J[:, :, k] -= np.einsum("bpn,nb->bp", through[:, :, these], block @ states[these])
+                if self.point.states:
+                    start = (z / np.sqrt(experiment.samples))[:, None, None]
+                    J[:, :, few + place * N : few + (place + 1) * N] = -through * start
+                Jh, Wh, Th = (part.conj().transpose(0, 2, 1) for part in (J, W, through))
+                x, e = states.T, e.T
+                gram[np.ix_(slim, slim)] += np.einsum("b,bij->ij", counts, Jh @ J).real
+                gram[slim, of_C] -= _product(Jh @ W, x[:, None, :], counts)
+                gram[slim, of_K] -= _product(Jh @ through, e[:, None, :], counts)
+                gram[of_C, of_C] += _product(Wh @ W, x.conj()[:, :, None] * x[:, None, :], counts)
+                gram[of_C, of_K] += _product(Wh @ through, x.conj()[:, :, None] * e[:, None, :], counts)
+                gram[of_K, of_K] += _product(Th @ through, e.conj()[:, :, None] * e[:, None, :], counts)
+        upper = np.triu(np.ones(gram.shape, bool))
+        order = np.concatenate([slim, np.arange(few, few + both)])
+        ordered = gram[np.ix_(order, order)]
+        ordered = np.where(upper, ordered, ordered.T)
+        gram[np.ix_(order, order)] = ordered
+        return gram
+
+    def _thinned(self, experiment: Experiment) -> Iterator[tuple[slice, Array]]:
+        """Pieces of bins, and what each of these counts."""
+        noise, N = self.point.noise, self.point.noise.states
+        width = float(np.abs(noise.sections.p.real).min()) * experiment.samples / np.pi
+        stride = int(min(len(experiment.z) // _BINS, width / _IN_WIDTH))
+        for bins in pieces(len(experiment.z), 2 * max(N, self.p) ** 2, max(1, stride)):
+            yield bins, max(1, stride) * experiment.counts[bins]
 
     def _slope_of_noise(self) -> Array:
         """Half the gradient, of outputs alone: from all bins, without a Jacobian."""
@@ -296,11 +338,8 @@ class Evaluation:
             start = np.zeros(N)
             for bins in pieces(len(experiment.z), self.p * (self.p + N)):
                 z, e = experiment.z[bins], errors[:, bins]
-                W, seen = self._whitening(z)
-                white = solve_triangular(self._root, e, lower=True) * experiment.counts[bins]
-                at_outputs = np.einsum("bpo,pb->ob", W.conj(), white, optimize=True)
-                assert seen is not None
-                at_states = np.einsum("bon,ob->nb", seen.conj(), at_outputs, optimize=True)
+                at_outputs = noise.adjoint_errors(z, cho_solve((self._root, True), e) * experiment.counts[bins])
+                at_states = noise.resolve(z, (noise.C.T @ at_outputs).conj(), transposed=True).conj()
                 states = self._states(place, z, e)
                 C -= (at_outputs @ states.conj().T).real
                 K -= (at_states @ e.conj().T).real
@@ -395,12 +434,12 @@ class Evaluation:
         size = len(self.problem.vector(self.point))
         gram, gradient = np.zeros((size, size)), np.zeros(size)
         alone = self.problem.coloured and not any(experiment.rows for experiment in self.problem.experiments)
-        for errors, J, counts in self._jacobians():
-            if not alone:
-                gradient += ((J.conj().T * counts) @ errors).real
+        if alone and size:
+            gram, gradient = self._gram_of_noise(), self._slope_of_noise()
+        for errors, J, counts in self._jacobians() if not alone else ():
+            gradient += ((J.conj().T * counts) @ errors).real
             both = np.concatenate([J.real, J.imag]) * np.sqrt(np.tile(counts, 2))[:, None]
             gram += both.T @ both
-        gradient = self._slope_of_noise() if alone else gradient
         gradient[self._held], gram[self._held], gram[:, self._held] = 0.0, 0.0, 0.0
         return gram, gradient
 
@@ -419,9 +458,11 @@ class Evaluation:
         size = len(self.problem.vector(self.point))
         if not self.problem.coloured:
             return np.zeros((size, 0))
-        inner, first = self.point.noise.bases(self.problem.real_shapes), len(self.point.noise.sections.x)
+        noise, first = self.point.noise, len(self.point.noise.sections.x)
+        inner, matrices = noise.bases(self.problem.real_shapes, self.point.states), 2 * noise.C.size
         bases = np.zeros((size, inner.shape[1] + len(self._held)))
-        bases[first : first + len(inner), : inner.shape[1]] = inner
+        bases[first : first + matrices, : inner.shape[1]] = inner[:matrices]
+        bases[size - (len(inner) - matrices) :, : inner.shape[1]] = inner[matrices:]
         bases[self._held, inner.shape[1] + np.arange(len(self._held))] = 1.0
         return bases
 
@@ -440,6 +481,7 @@ class Evaluation:
         null = self.bases * lengths[:, None]
         null = np.linalg.qr(null)[0] if null.shape[1] else null
         inverse = np.linalg.pinv(gram, rcond=len(gram) * EPS * 100, hermitian=True) - null @ null.T
+        inverse[self._held], inverse[:, self._held] = 0.0, 0.0
         return np.asarray(inverse / np.outer(lengths, lengths))
 
 
@@ -487,6 +529,15 @@ def minimise(
         if gain < tolerance:
             return Minimum(best, True, taken)
     return Minimum(best, False, taken)
+
+
+def _product(first: ComplexArray, second: ComplexArray, counts: Array) -> Array:
+    """Sum over bins of Kronecker products of matrices (bins, i, j) and (bins, k, l), real part (i k, j l)."""
+    shape = first.shape[1:] + second.shape[1:]
+    left = (first * counts[:, None, None]).reshape(len(first), -1)
+    right = second.reshape(len(second), -1)
+    total = (left.real.T @ right.real - left.imag.T @ right.imag).reshape(shape)
+    return np.asarray(total.transpose(0, 2, 1, 3).reshape(shape[0] * shape[2], shape[1] * shape[3]))
 
 
 def with_noise(point: Point, noise: NoiseSections) -> Point:

@@ -8,7 +8,7 @@ reference `w` of its own: smooth through critical damping.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,6 +17,7 @@ import numpy as np
 from ..._types import Array, ComplexArray
 from ..regression.sections import Sections
 
+_WELL = 1e6  # condition of the modes of a predictor
 _NEAR = 1e-4  # square of an angle below which a series has all digits
 
 
@@ -121,12 +122,37 @@ class NoiseSections:
             closed = self.A - self.K @ self.C
         return bool(np.isfinite(closed).all() and np.abs(np.linalg.eigvals(closed)).max(initial=0.0) < 1)
 
-    def resolve(self, z: ComplexArray, values: ComplexArray) -> ComplexArray:
-        """States `(z - A)^{-1} values`, of values (N, ..., bins)."""
+    @cached_property
+    def _predictor(self) -> tuple[ComplexArray, ComplexArray, ComplexArray] | None:
+        """Poles of the predictor (N,), `C` and `K` in its own modes; None where these are too near to one another."""
+        poles, vectors = np.linalg.eig(self.A - self.K @ self.C)
+        if len(poles) and not np.linalg.cond(vectors) < _WELL:
+            return None
+        return poles, self.C @ vectors, np.linalg.solve(vectors, self.K)
+
+    def errors(self, z: ComplexArray, y: ComplexArray) -> ComplexArray:
+        """Prediction errors `H^{-1} y` of outputs (p, bins)."""
+        if self._predictor is None:
+            H = np.eye(len(self.C)) + self.outputs_of_states(z) @ self.K
+            return np.asarray(np.linalg.solve(H, y.T[:, :, None])[:, :, 0].T)
+        poles, C, K = self._predictor
+        return np.asarray(y - C @ ((K @ y) / (z - poles[:, None])))
+
+    def adjoint_errors(self, z: ComplexArray, e: ComplexArray) -> ComplexArray:
+        """The adjoint `H^{-*} e` of values (p, bins)."""
+        if self._predictor is None:
+            H = np.eye(len(self.C)) + self.outputs_of_states(z) @ self.K
+            return np.asarray(np.linalg.solve(H.conj().transpose(0, 2, 1), e.T[:, :, None])[:, :, 0].T)
+        poles, C, K = self._predictor
+        return np.asarray(e - K.conj().T @ ((C.conj().T @ e) / (z - poles[:, None]).conj()))
+
+    def resolve(self, z: ComplexArray, values: ComplexArray, transposed: bool = False) -> ComplexArray:
+        """States `(z - A)^{-1} values`, of values (N, ..., bins); with the transposed `A` if wanted."""
         k, resolved = self.pairs, np.empty(values.shape, complex)
         first, second = values[0 : 2 * k : 2], values[1 : 2 * k : 2]
         shape = (k, *(1,) * (values.ndim - 1))
         a, b, c = (self.blocks[:, i, j].reshape(shape) for i, j in ((0, 0), (0, 1), (1, 0)))
+        b, c = (c, b) if transposed else (b, c)
         over = 1.0 / ((z - a) ** 2 - b * c)
         resolved[0 : 2 * k : 2] = ((z - a) * first + b * second) * over
         resolved[1 : 2 * k : 2] = ((z - a) * second + c * first) * over
@@ -148,19 +174,23 @@ class NoiseSections:
             transfer[:, :, row] = self.C[:, row] / (z[:, 0] - self.A[row, row])
         return transfer
 
-    def bases(self, real_shapes: bool = False) -> Array:
-        """Directions in `(C, K)` that change the bases of the states alone, orthonormal columns (2 p N, .).
+    def bases(self, real_shapes: bool = False, starts: Sequence[Array] = ()) -> Array:
+        """Directions in `(C, K, *starts)` that change the bases of the states alone, orthonormal columns.
 
-        They are N; where outputs see the first state of each mode alone, one fewer for each mode.
+        `starts` are states (N,) of records.  There are N directions; where outputs see the first state of each mode
+        alone, one fewer for each mode.
         """
         directions = []
         for first, block in self._commuting(real_shapes):
             place = slice(first, first + len(block))
             C, K = np.zeros(self.C.shape), np.zeros(self.K.shape)
             C[:, place], K[place] = self.C[:, place] @ block, -block @ self.K[place]
-            directions.append(np.concatenate([C.ravel(), K.ravel()]))
+            moved = np.zeros((len(starts), self.states))
+            for row, start in zip(moved, starts, strict=True):
+                row[place] = -block @ start[place]
+            directions.append(np.concatenate([C.ravel(), K.ravel(), moved.ravel()]))
         if not directions:
-            return np.zeros((2 * self.C.size, 0))
+            return np.zeros((2 * self.C.size + len(starts) * self.states, 0))
         return np.asarray(np.linalg.qr(np.array(directions).T)[0])
 
     def _commuting(self, real_shapes: bool) -> Iterator[tuple[int, Array]]:

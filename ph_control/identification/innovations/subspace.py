@@ -79,9 +79,9 @@ class CanonicalVariates:
         S = of_new - A @ C.T
         try:
             P = solve_discrete_are(A.T, C.T, 0.5 * (Q + Q.T), 0.5 * (R + R.T), s=S)
+            K = np.linalg.solve(C @ P @ C.T + R, (A @ P @ C.T + S).T).T
         except (np.linalg.LinAlgError, ValueError):
             return None
-        K = np.linalg.solve(C @ P @ C.T + R, (A @ P @ C.T + S).T).T
         return A, C, K
 
 

@@ -1,0 +1,302 @@
+"""Outputs alone, kept in motion by forces that nobody measured: modes with errors that hold, and what else they show."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from scipy.linalg import expm, solve_discrete_are, solve_discrete_lyapunov
+from scipy.signal import lfilter
+from scipy.stats import chi2
+
+import ph_control as phc
+from ph_control.identification.innovations.minimum import Experiment, Point, Problem, minimise
+from ph_control.identification.innovations.subspace import in_sections
+
+STEP = 0.02
+HERTZ, ZETA = np.array([3.4, 8.7, 11.9]), np.array([0.01, 0.012, 0.015])
+SHAPES = np.array([[0.4, 1.0, -0.6], [0.8, 0.3, 1.0], [1.0, -0.9, -0.7]])  # of three floors, a column each mode
+
+
+def sampled(shapes=SHAPES, hertz=HERTZ, zeta=ZETA, of_displacement=0.0):
+    """Matrices of one step, and the covariance of what white forces add in it; outputs are velocities."""
+    n, w = len(hertz), 2 * np.pi * hertz
+    A, B, i = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, n)), np.arange(n)
+    A[2 * i, 2 * i + 1], A[2 * i + 1, 2 * i], A[2 * i + 1, 2 * i + 1] = w, -w, -2 * zeta * w
+    B[2 * i + 1, i] = np.sqrt(2 * zeta * w)
+    C = np.zeros((len(shapes), 2 * n))
+    C[:, 1::2], C[:, ::2] = shapes, of_displacement * np.roll(shapes, 1, axis=0)
+    both = expm(STEP * np.block([[-A, B @ B.T], [np.zeros(A.shape), A.T]]))
+    step = both[2 * n :, 2 * n :].T
+    Q = step @ both[: 2 * n, 2 * n :]
+    return step, C, 0.5 * (Q + Q.T)
+
+
+def ambient(seed, samples=3000, noise=0.2, **how):
+    """Outputs in steady motion, with noise of a share of each."""
+    (A, C, Q), rng = sampled(**how), np.random.default_rng(seed)
+    P = solve_discrete_lyapunov(A, Q)
+    x = np.empty((len(A), samples))
+    x[:, 0] = np.linalg.cholesky(P) @ rng.standard_normal(len(A))
+    added = np.linalg.cholesky(Q) @ rng.standard_normal((len(A), samples))
+    for t in range(1, samples):
+        x[:, t] = A @ x[:, t - 1] + added[:, t]
+    y = C @ x
+    return y + noise * np.sqrt(np.diag(C @ P @ C.T))[:, None] * rng.standard_normal(y.shape)
+
+
+def causes(result):
+    """Names of what a result found."""
+    return [finding.cause.name for finding in result.findings]
+
+
+@pytest.fixture(scope="module")
+def record():
+    """One record."""
+    return ambient(0)
+
+
+@pytest.fixture(scope="module")
+def fit(record):
+    """Its fit by the default call."""
+    return phc.pem((None, record), dt=STEP)
+
+
+# --- the likelihood --------------------------------------------------------------------------------------------------
+
+
+def innovations_form(noise=0.2):
+    """The steady Kalman filter of the plant: `A`, `C`, gain, covariance of the prediction errors."""
+    A, C, Q = sampled()
+    R = noise**2 * np.diag(np.diag(C @ solve_discrete_lyapunov(A, Q) @ C.T))
+    P = solve_discrete_are(A.T, C.T, Q, R)
+    S = C @ P @ C.T + R
+    return A, C, np.linalg.solve(S, C @ P @ A.T).T, S
+
+
+def filtered(y, A, C, K, x):
+    """Errors of a predictor that begins in a state, and the state where it ends."""
+    errors = np.empty(y.shape)
+    for t in range(y.shape[1]):
+        errors[:, t] = y[:, t] - C @ x
+        x = A @ x + K @ errors[:, t]
+    return errors, x
+
+
+def problem_at_truth(y, real_shapes=False):
+    """The plant's own predictor in sections, per sample, and the problem of its likelihood."""
+    A, C, K, _ = innovations_form()
+    noise = in_sections(A, C, K, 1.0)
+    problem = Problem([Experiment.of_outputs(y)], np.zeros((0, 3), bool), real_shapes=real_shapes)
+    return problem, noise
+
+
+def test_prediction_errors_in_bins_are_those_of_the_kalman_filter():
+    y = ambient(1, 501)
+    A, C, K, S = innovations_form()
+    problem, noise = problem_at_truth(y)
+    np.testing.assert_allclose(np.sort_complex(np.linalg.eigvals(noise.A)), np.sort_complex(np.linalg.eigvals(A)))
+    first = np.random.default_rng(0).standard_normal(6)
+    expected, last = filtered(y, noise.A, noise.C, noise.K, first)
+    # a record that repeats has the jump of the state where it begins again
+    evaluation = problem.at(Point(noise, np.zeros((0, 3)), (), (first - last,)))
+    errors = np.fft.irfft(evaluation.errors[0], 501) * np.sqrt(501)
+    np.testing.assert_allclose(errors, expected, atol=1e-9 * np.abs(expected).max())
+    sign, size = np.linalg.slogdet(expected @ expected.T / 501)
+    np.testing.assert_allclose(evaluation.cost, 501 * (size + 3 * (1 + np.log(2 * np.pi))))
+    # and those of the plant's own filter, whatever the coordinates of its states
+    own, _ = filtered(y, A, C, K, np.zeros(6))
+    again, _ = filtered(y, noise.A, noise.C, noise.K, np.zeros(6))
+    np.testing.assert_allclose(again, own, atol=1e-9)
+    np.testing.assert_allclose(own @ own.T / 501, S, rtol=0.5, atol=0.2 * np.abs(S).max())
+
+
+@pytest.mark.parametrize("real_shapes", [False, True])
+def test_the_gradient_is_that_of_the_likelihood(real_shapes):
+    problem, noise = problem_at_truth(ambient(2, 400), real_shapes)
+    noise = noise.of_real_shapes() if real_shapes else noise
+    point = Point(noise, np.zeros((0, 3)), (), (np.zeros(6),))
+    gram, gradient = problem.at(point).normal
+    x, differences = problem.vector(point), np.zeros(len(gradient))
+    for j in range(len(x)):
+        change = np.zeros(len(x))
+        change[j] = 1e-6 * max(abs(x[j]), 1e-2)
+        up, down = (problem.at(problem.point(x + s * change, point)).cost for s in (1, -1))
+        differences[j] = 0.25 * (up - down) / change[j]
+    held = np.zeros(len(x), bool)
+    if real_shapes:
+        held[6:24].reshape(3, 6)[:, 1::2] = True  # what outputs see of the second states
+        assert not gradient[held].any() and not gram[held].any()
+    lengths = np.sqrt(np.diag(gram))
+    np.testing.assert_allclose(gradient[~held] / lengths[~held], differences[~held] / lengths[~held], atol=2e-4)
+
+
+def test_bases_of_the_states_change_nothing_and_are_no_unknowns():
+    y = ambient(3, 600)
+    for real_shapes, bases in ((False, 6), (True, 3 + 9)):
+        problem, noise = problem_at_truth(y, real_shapes)
+        noise = noise.of_real_shapes() if real_shapes else noise
+        evaluation = minimise(problem, Point(noise, np.zeros((0, 3)), (), (np.zeros(6),))).evaluation
+        gram, _ = evaluation.normal
+        assert evaluation.bases.shape[1] == bases
+        lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        assert np.abs((gram / np.outer(lengths, lengths)) @ (evaluation.bases * lengths[:, None])).max() < 1e-6
+        assert evaluation.unknowns == 6 + 36 + 6 - bases + 6
+
+
+# --- modes and their errors ------------------------------------------------------------------------------------------
+
+
+def test_modes_of_ambient_excitation_lie_within_their_intervals():
+    z, law = [], []
+    for seed in range(8):
+        result = phc.pem((None, ambient(seed + 10, 2000)), dt=STEP)
+        assert result.order == 3 and result.is_ambient and not len(result.real_poles)
+        z += [(result.natural_frequencies / (2 * np.pi) - HERTZ) / (result.stderr["natural_frequencies"] / (2 * np.pi))]
+        z += [(result.damping_ratios - ZETA) / result.stderr["damping_ratios"]]
+        law.append(result.stderr["damping_ratios"] / result.damping_ratios)
+    low, high = chi2.ppf([1e-3, 1 - 1e-3], np.size(z))
+    assert low < np.sum(np.square(z)) < high
+    # in little noise the coefficient of variation of damping is 1 / sqrt(2 pi zeta N) in N periods
+    expected = 1 / np.sqrt(2 * np.pi * ZETA * HERTZ * STEP * 2000)
+    assert np.all(np.median(law, axis=0) > 0.75 * expected) and np.all(np.median(law, axis=0) < 1.5 * expected)
+
+
+def test_shapes_are_real_where_the_data_do_not_reject_it(fit, record):
+    assert fit.structure == "classical" and fit.tests[0].dof == 6
+    assert not fit.shapes.imag.any() and np.all(fit.stderr["shapes"].imag < 1e-12)
+    true = SHAPES / SHAPES[np.argmax(np.abs(SHAPES), axis=0), np.arange(3)]
+    off, stated = fit.shapes.real - true.T, fit.stderr["shapes"].real
+    assert np.all(np.abs(off) <= 4 * stated) and np.sum(stated > 0) == 6
+    free = phc.pem((None, record), dt=STEP, structure="free")
+    assert free.structure == "free" and not free.tests and free.loglik >= fit.loglik
+    np.testing.assert_allclose(2 * (free.loglik - fit.loglik), fit.tests[0].likelihood_ratio, atol=0.01)
+    assert free.unknowns == fit.unknowns + 6
+
+
+def test_complex_shapes_reject_real_ones():
+    y = ambient(4, 4000, of_displacement=0.5)
+    result = phc.pem((None, y), dt=STEP)
+    assert result.structure == "free" and "COMPLEX_SHAPES" in causes(result) and result.tests[0].p < 1e-6
+    given = phc.pem((None, y), dt=STEP, structure="classical")
+    assert given.structure == "classical" and given.loglik < result.loglik - 10
+
+
+def test_units_of_the_outputs_and_of_time_change_nothing_else(fit, record):
+    scaled = phc.pem((None, record * np.array([[1e-9], [1.0], [1e6]])), dt=STEP * 1e-3)
+    np.testing.assert_allclose(scaled.natural_frequencies, 1e3 * fit.natural_frequencies, rtol=1e-6)
+    np.testing.assert_allclose(scaled.stderr["damping_ratios"], fit.stderr["damping_ratios"], rtol=1e-4)
+    sizes = np.log([1e-9, 1.0, 1e6]).sum() * record.shape[1]
+    np.testing.assert_allclose(scaled.loglik, fit.loglik - sizes, rtol=1e-9)
+
+
+def test_several_recordings_have_one_model():
+    parts = [(None, ambient(seed, 1500)) for seed in (21, 22)]
+    both = phc.pem(parts, dt=STEP)
+    assert both.order == 3 and len(both.experiments) == 2
+    alone = phc.pem(parts[0], dt=STEP)
+    np.testing.assert_allclose(both.stderr["damping_ratios"], alone.stderr["damping_ratios"] / np.sqrt(2), rtol=0.5)
+
+
+@pytest.mark.parametrize("outputs", [1, 12])
+def test_one_output_or_many(outputs):
+    shapes = np.random.default_rng(5).standard_normal((outputs, 3))
+    result = phc.pem((None, ambient(5, 2000, shapes=shapes)), dt=STEP)
+    assert result.order == 3 and result.is_ambient
+    assert result.structure == ("free" if outputs == 1 else "classical")
+    assert np.all(np.abs(result.damping_ratios - ZETA) < 4 * result.stderr["damping_ratios"])
+
+
+# --- what is ambient, and what is not --------------------------------------------------------------------------------
+
+
+def test_a_free_decay_is_none(fit):
+    t = STEP * np.arange(1500)
+    decays = np.exp(np.outer(2 * np.pi * HERTZ * (-ZETA + 1j * np.sqrt(1 - ZETA**2)), t)).real
+    y = SHAPES @ decays
+    y += 0.3 * y.std() * np.random.default_rng(0).standard_normal(y.shape)
+    result = phc.pem((None, y), dt=STEP)
+    assert result.order == 3 and not result.is_ambient and "in free motion" in result.summary()
+    assert "under ambient excitation" in fit.summary()
+
+
+def test_white_noise_has_no_modes():
+    y = np.linalg.cholesky(0.5 * np.eye(2) + 0.5) @ np.random.default_rng(1).standard_normal((2, 1000))
+    for noise in ("auto", "forces"):
+        result = phc.pem((None, y), dt=1.0, noise=noise)
+        assert result.states == 0 and result.outcome.name == "NOTHING" and "0 modes" in result.summary()
+
+
+def test_a_wind_that_is_not_white_is_a_real_pole():
+    y = lfilter([1], [1, -0.95], np.random.default_rng(2).standard_normal(3000))
+    result = phc.pem((None, y), dt=1.0)
+    assert result.order == 0 and result.is_ambient and len(result.real_poles) == 1
+    assert abs(result.real_poles[0] - np.log(0.95)) < 4 * result.stderr["real_poles"][0]
+
+
+def test_a_machine_is_named_and_is_no_mode():
+    y, t = ambient(6, 4000), STEP * np.arange(4000)
+    y += np.array([[0.5], [0.3], [-0.4]]) * y.std(axis=1, keepdims=True) * np.sin(2 * np.pi * 6.1 * t + 1)
+    result = phc.pem((None, y), dt=STEP)
+    assert result.order == 3 and causes(result).count("HUM") == 1
+    (hum,) = [finding for finding in result.findings if finding.cause.name == "HUM"]
+    assert abs(hum.values[0] / (2 * np.pi) - 6.1) < 0.002
+    sizes = np.hypot(*np.reshape(hum.values[1:], (3, 2)).T) / y.std(axis=1)
+    np.testing.assert_allclose(sizes, [0.5, 0.3, 0.4], atol=0.1)
+    assert np.all(np.abs(result.damping_ratios - ZETA) < 4 * result.stderr["damping_ratios"])
+
+
+# --- options, and errors ---------------------------------------------------------------------------------------------
+
+
+def test_orders_that_are_given_are_taken(record):
+    assert phc.pem((None, record), 2, dt=STEP, noise="forces").order == 2
+    result = phc.pem((None, record), 3, dt=STEP, real_poles=1)
+    assert result.order == 3 and len(result.real_poles) == 1
+    short = phc.pem((None, record), dt=STEP, max_order=2, real_poles=0)
+    assert short.order == 2 and "LARGEST_ORDER" in causes(short)
+
+
+@pytest.mark.parametrize("criterion", ["aic", "aicc", "holdout"])
+def test_every_criterion_chooses(record, criterion):
+    assert phc.pem((None, record), dt=STEP, criterion=criterion, noise="forces").order >= 3
+
+
+@pytest.mark.parametrize("calls", [2, 12])
+def test_an_interruption_leaves_the_best_model_so_far(record, calls):
+    seen = []
+
+    def callback(progress):
+        seen.append(progress)
+        if len(seen) == calls:
+            raise StopIteration
+
+    result = phc.pem((None, record), dt=STEP, noise="forces", callback=callback)
+    assert len(seen) == calls and not result.success and result.outcome.name == "INTERRUPTED"
+    assert result.states > 0 and "interrupted" in result.message
+
+
+def test_what_no_model_describes_is_refused_with_a_reason(record):
+    missing = record.copy()
+    missing[0, 5] = np.nan
+    with pytest.raises(phc.StructureError, match="without missing samples"):
+        phc.pem((None, missing), dt=STEP, noise="forces")
+    for data in (record[:, :9], np.concatenate([record, record[:1] - record[1:2]])):
+        with pytest.raises(phc.IdentificationError, match=r"record longer|combination of others"):
+            phc.pem((None, data), dt=STEP, noise="forces")
+
+
+def test_results_of_ambient_excitation_have_what_others_have(fit, record, tmp_path):
+    phc.save(fit, tmp_path / "fit.json")
+    again = phc.load(tmp_path / "fit.json")
+    assert again.is_ambient and np.array_equal(again.poles, fit.poles) and again.summary() == fit.summary()
+    np.testing.assert_allclose(np.diag(fit.mac(again)), 1)
+    diagram = fit.stabilisation(beyond=2)
+    assert diagram.order == 3 and list(diagram.orders[-3:]) == [3, 4, 5]
+    # one order higher the modes of the result stay
+    assert np.sum(diagram.stability[list(diagram.orders).index(4)] >= 1) >= 3
+    for plot in (fit.plot(), diagram.plot(), phc.shape_plot(fit), phc.residual_plot(fit)):
+        plt.close(plot.figure)
+    table = phc.fit_many([(None, record), (None, ambient(7, 1500))], dt=STEP)
+    assert len(table.table) == 6 and not len(table.failures)
+    assert fit.residuals.shape == record.shape and fit.whiteness > 1e-3
+    with pytest.raises(phc.StructureError, match="ambient excitation"):
+        fit.bootstrap(10)
