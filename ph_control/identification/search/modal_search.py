@@ -1433,7 +1433,7 @@ class FreePath:
             return None
         if not given and not self.search.shows_background(len(model.p) + 1):
             return None
-        pole, gain = self.scaled.lag(model.projection)
+        pole, gain = self.scaled.lag(model.projection, yielding=not self.is_white(model))
         p = np.append(model.p, pole)
         if self.search.unknowns_of(p) >= self.counts.sum() or self.is_exact(model) or self.crowded:
             return None
