@@ -29,7 +29,7 @@ from ..regression.sections import PoleRegion, Sections
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Progress
-from ..uncertainty.residual_tests import ljung_box
+from ..uncertainty.residual_tests import all_white, is_white, ljung_box
 from .circumstances import Cause, Finding
 from .criteria import Criteria, past_of_noise, stands_out
 from .free_search import FreeModel, FreeSearch, Records, Responses
@@ -244,8 +244,8 @@ def free_fit(
     start : ndarray of complex, optional
         Poles of positive imaginary part to start from, real parts NaN where they are not known.
     real_poles : int or 'auto'
-        Number of real poles beside the modes; 'auto' takes that which the criterion prefers, and none beside a number
-        of modes that is given.
+        Number of real poles beside the modes; 'auto' takes that which the criterion prefers, see `_with_real_poles`
+        for those beside a number of modes that is given.
     delay : ndarray, shape (p,), optional
         Time by which each output comes later than the response to the inputs; by default whole samples of recordings
         where they explain more.
@@ -278,7 +278,13 @@ def free_fit(
         return _of_long(channels, order, intersample, offset, how, max_order=max_order, start=start, delay=delay)
 
     automatic = not isinstance(order, int)
-    real_poles = 0 if real_poles == "auto" and not automatic else real_poles
+    if real_poles == "auto" and not automatic:
+        again = partial(
+            free_fit, channels, quantities=quantities, intersample=intersample, offset=offset, moving=moving,
+            criterion=criterion, reports=reports, weighted=weighted, delay=delay, method=method, doubted=doubted,
+        )  # fmt: skip
+        fit = again(order, max_order=max_order, start=start, real_poles=0)
+        return fit if start is not None else _with_real_poles(fit, int(order), max_order, again)
 
     def path_for(
         channels: Experiments, terms: int = int(bool(offset)), hold: str = intersample, late: Array | None = delay
@@ -349,6 +355,24 @@ def _of_responses(
     if any(map(len, wild)):
         return _with_or_without(wild, responses, among, start)
     return _without_errors(among(responses, start=start), responses, among)
+
+
+def _with_real_poles(fit: FreeFit, order: int, max_order: int, again: Callable[..., FreeFit]) -> FreeFit:
+    """The fit of a number of modes, pairs of real poles among them, with further real poles if these are likelier.
+
+    They are looked for where modes alone leave what is no noise, or have no peak, as a pair of real poles has none.
+    Modes that overlap may be fewer, as these are found all at once.
+    """
+    if fit.interrupted or fit.rounding or not (_broad(fit.projection.p).any() or not is_white(fit.projection)):
+        return fit
+    found = again("auto", max_order=min(order, max_order))
+    real = _real(found.projection.p)
+    fewer = order - real // 2 - found.order
+    if not real or found.interrupted:
+        return fit
+    if fewer > 0 and not found.crowded:
+        found = again(order - real // 2, max_order=max_order, real_poles=real, start=found.projection.p)
+    return found if not found.interrupted and found.criteria.bic < fit.criteria.bic else fit
 
 
 def _searches_anew(fit: FreeFit, search: _Search, drifting: bool) -> Anew:
@@ -505,17 +529,18 @@ def _without_errors(whole: FreeFit, channels: Sequence[ResponseMatrix], among: C
     if single:
         rest = np.delete(projection.p, list(single))
         return leaving(set(single.values()), start=rest) if len(set(single.values())) <= _FEW_WILD else whole
-    if _is_white(projection):
+    if is_white(projection):
         return whole
     nearest = {
         (k, int(np.argmin(np.where(data.observed.any(axis=(0, 1)), np.abs(data.omega - d), np.inf))))
         for k, data in enumerate(channels) for d in projection.d[projection.p.imag > 0]
     }  # fmt: skip
-    calm = leaving(nearest, order=whole.order)
-    if calm is whole or not _is_white(calm.projection):
+    order: dict[str, int] = {"order": whole.order, "real_poles": _real(projection.p)}
+    calm = leaving(nearest, **order)
+    if calm is whole or not is_white(calm.projection):
         return whole
     start = calm.projection.p
-    fits = [leaving([each], order=whole.order, start=start) for each in sorted(nearest)]
+    fits = [leaving([each], **order, start=start) for each in sorted(nearest)]
     return min((fit for fit in fits if fit is not whole), key=_weighted_bic, default=whole)
 
 
@@ -544,18 +569,6 @@ def _effects(projection: FreeProjection, channels: Sequence[ResponseMatrix]) -> 
             size = np.abs((r * ahead + r.conj() * behind) * rows.weight) ** 2
             effects[number[id(rows.frequencies)]][:, rows.observed] += size
     return effects
-
-
-def _is_white(projection: FreeProjection) -> bool:
-    """Whether what is left of each entry may be white noise."""
-    parts: dict[int, list[Array]] = {}
-    for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
-        assert isinstance(rows, FreeResponse)
-        residuals = (rows.response - predicted)[:, rows.observed] * rows.weight
-        for output, row in zip(rows.outputs.tolist(), residuals, strict=True):
-            parts.setdefault(output, []).extend([row.real, row.imag])
-    p_values = [ljung_box(each, TUNING.lags) for each in parts.values()]
-    return min(p_values) * len(p_values) >= TUNING.white
 
 
 def _is_likelier_without(whole: FreeFit, calm: FreeFit, lines: Sequence[Indices]) -> bool:
@@ -1542,7 +1555,7 @@ class FreePath:
 
     def is_white(self, model: FreeModel) -> bool:
         """Whether what is left of each output may be white noise."""
-        p_values = []
+        outputs = []
         for output in range(len(self.counts)):
             parts: list[Array] = []
             if isinstance(self.search, Records):
@@ -1551,8 +1564,8 @@ class FreePath:
             else:
                 for rows, residuals in zip(self.search.data, model.residuals, strict=True):
                     parts += [part for row in residuals[rows.outputs == output] for part in (row.real, row.imag)]
-            p_values.append(ljung_box(parts, TUNING.lags))
-        return min(p_values) * len(p_values) >= TUNING.white
+            outputs.append(parts)
+        return all_white(outputs)
 
     def relocated(self, model: FreeModel, sound: bool, most: int) -> FreeModel:
         """The weakest modes exchanged for what stands out of the rest, as long as that is likelier."""
