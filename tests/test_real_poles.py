@@ -203,3 +203,37 @@ def test_inputs_are_held_where_a_mode_beside_lags_says_so(seed):
     y = held([-0.8, -9.0, -0.3 + 25.0j], [1.0, -0.7, 0.6j], u)
     result = phc.pem((u, y + 0.03 * np.std(y) * rng.standard_normal(2000)), dt=H)
     assert result.intersample == "zoh" and (result.feedthrough == 0).all()
+
+
+# --- beside a number of modes that is given --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "zeros_and_poles, order, modes, real",
+    [
+        (([], [-0.35, -1.7]), 1, 0, 2),  # a pair of real poles is a mode
+        (([0.0], [-0.35, -1.7]), 1, 0, 2),  # an overdamped mass
+        (([-0.2], [-0.55, -0.06 + 2.2j, -0.06 - 2.2j]), 1, 1, 1),
+        (([-1.0, -0.4 + 1j, -0.4 - 1j], [-0.25, -1.6, -0.05 + 2.9j, -0.05 - 2.9j]), 1, 1, 2),
+    ],
+)
+def test_real_poles_are_found_beside_a_number_of_modes(zeros_and_poles, order, modes, real):
+    zeros, poles = zeros_and_poles
+    plant = ct.zpk(zeros, poles, 1.0)
+    rng, t = np.random.default_rng(11), 0.1 * np.arange(1500)
+    u = rng.standard_normal(1500)
+    y = ct.forced_response(ct.c2d(ct.ss(plant), 0.1), t, u).outputs
+    result = phc.pem((u, y + 0.02 * y.std() * rng.standard_normal(1500)), order, dt=0.1)
+    assert (result.order, len(result.real_poles)) == (modes, real)
+    expected = np.sort([p.real for p in poles if np.imag(p) == 0])
+    assert np.all(np.abs(np.sort(result.real_poles) - expected) < 5 * np.sort(result.stderr["real_poles"]).max())
+    assert result.outcome.name == "CONSISTENT"
+
+
+def test_a_pair_without_a_peak_may_be_two_real_poles_under_a_structure():
+    rng, t = np.random.default_rng(0), 0.1 * np.arange(2000)
+    u = rng.standard_normal(2000)
+    plant = ct.tf([1.0, 0.0], np.poly([-0.3, -2.0]))
+    y = ct.forced_response(ct.c2d(ct.ss(plant), 0.1), t, u).outputs
+    result = phc.pem((u, y + 0.03 * y.std() * rng.standard_normal(2000)), 2, dt=0.1, real_poles=0)
+    assert result.fit_percent > 95

@@ -20,7 +20,7 @@ from ..regression.tuning import TUNING
 from ..search.circumstances import Cause, Finding, foretold, likeliest_ratio, sampled_response
 from ..search.modal_search import FreeFit, is_short
 from ..uncertainty.noise_model import NoiseModel
-from ..uncertainty.residual_tests import ljung_box
+from ..uncertainty.residual_tests import is_white
 
 _LONGEST = 64  # samples of the past that noise may depend on
 _SAMPLES_EACH = 20  # of the residuals for each of them
@@ -84,15 +84,6 @@ def _whitened(free: FreeFit, projection: FreeProjection, rows: Sequence[FreeReco
     sizes = np.sqrt(counts / refined.losses)[:, None]
     rows = [record.in_units(float(sizes[record.outputs[0], 0])) for record in rows]
     return replace(free, projection=FreeProjection(rows, refined.p, projection.fed), measured=measured)
-
-
-def is_white(projection: FreeProjection) -> bool:
-    """Whether the residuals of every output of every record in time pass the Ljung-Box test of whiteness."""
-    p_values = []
-    for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
-        if isinstance(rows, FreeRecord):
-            p_values += [ljung_box([each[rows.observed]], TUNING.lags) for each in rows.residuals(predicted)]
-    return bool(p_values) and min(p_values) * len(p_values) >= TUNING.white
 
 
 def noise_of(free: FreeFit, records: Sequence[FreeRecord]) -> list[OutputNoise]:

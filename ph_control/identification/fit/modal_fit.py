@@ -22,7 +22,7 @@ from ..data.parts import Difference, Signal
 from ..data.quantities import checked_quantities
 from ..data.time_record import Record
 from ..diagnosis.changing_noise import changing_levels, findings_of
-from ..diagnosis.coloured_noise import beside_coloured_noise, fitted_noise, is_white
+from ..diagnosis.coloured_noise import beside_coloured_noise, fitted_noise
 from ..diagnosis.fitted_directions import FittedModel, directions_of
 from ..diagnosis.hum import Tones, lines_in, tones_in, undriven
 from ..diagnosis.outliers import outliers, saturation
@@ -54,7 +54,7 @@ from ..structure.hypothesis_tests import LEVEL, choose, given_structure, likelih
 from ..structure.layout import POWERS, ChannelLayout, residue_of_unit_weight, weights_of
 from ..uncertainty.fisher import PortRecord
 from ..uncertainty.residual_data import without_peaks
-from ..uncertainty.residual_tests import ljung_box
+from ..uncertainty.residual_tests import is_white, ljung_box
 from .outputs_alone import are_alone, of_outputs_alone
 from .pem_result import PEMResult
 from .result import STRUCTURES, OrderRow, cut_short
@@ -333,8 +333,9 @@ def _about_order(free: FreeFit, order: int | str, options: Options) -> list[Find
     if isinstance(order, str):
         ended = free.order >= options.max_order and not (free.rounding or free.interrupted)
         return [Finding(Cause.LARGEST_ORDER, (float(free.order),), 0.0)] * ended
-    fewer = free.order < order and free.rounding
-    return [Finding(Cause.FEWER_MODES, (float(order), float(free.order)), 0.0)] * fewer
+    pairs = free.order + int(np.sum(free.projection.p.imag == 0)) // 2
+    fewer = pairs < order and (free.rounding or free.crowded)
+    return [Finding(Cause.FEWER_MODES, (float(order), float(pairs)), 0.0)] * fewer
 
 
 def _of_modes(free: FreeFit, p: ComplexArray) -> FreeFit:
@@ -888,7 +889,7 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
         return np.full((len(order), len(order)), np.nan)
     covariance = inner[np.ix_(order, order)] * np.outer(size, size)
     # a structure may tell of residues that free ones do not show
-    unknown = split(free.projection.blind.astype(float) * bool(fit.point.deficiency))
+    unknown = split(_blind(fit, free).astype(float))
     hidden = np.concatenate(
         [np.zeros(2 * n), *(part.ravel() for part in (unknown[0][rank], unknown[1][rank], unknown[2]))]
     )
@@ -899,6 +900,16 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     covariance[absent] = np.nan
     covariance[:, absent] = np.nan
     return covariance
+
+
+def _blind(fit: StructuredFit, free: FreeFit) -> Mask:
+    """Which numbers of the shared unknowns free residues leave without a trace, if those of the structure do too."""
+    if not fit.point.deficiency:
+        return np.zeros(fit.projection.shared.shape, bool)
+    if len(free.projection.p) == len(fit.p):
+        return free.projection.blind
+    # a pair of the free model may be two real poles under a structure
+    return FreeProjection(free.projection.experiments, fit.p, free.projection.fed).blind
 
 
 def _delays(fit: StructuredFit, free: FreeFit) -> tuple[Array, Array]:

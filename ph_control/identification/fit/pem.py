@@ -67,7 +67,7 @@ def pem(
         may have different channels, matched by their labels, or their places where there are none.  `(None, y)` is a
         free motion, or one that forces which nobody measured keep up.  NaN outputs are missing samples.  Not modified.
     order : int or 'auto'
-        Number of modes n; 'auto' takes the one that `criterion` prefers.
+        Number of modes n, pairs of real poles among them; 'auto' takes the one that `criterion` prefers.
     dt : float, or sequence of float, one for each experiment, optional
         Time between samples; required with arrays.  Of a response with a window that of the record which it was
         estimated from; by default its frequencies are taken for neighbouring lines.
@@ -119,7 +119,8 @@ def pem(
         one input and output are taken for one.
     real_poles : int or 'auto'
         Number of real poles beside the modes, as of a lag, a motor or an RC circuit; 'auto' takes that which
-        `criterion` prefers, and none beside a number of modes that is given.  A lossless model has none.
+        `criterion` prefers, beside a number of modes that is given where these alone leave what is no noise, or have no
+        peak.  A lossless model has none.
     delay : 'auto', or float, or sequence of float, one for each output
         Time by which outputs come later than the response to the inputs, or earlier where it is negative: that of an
         anti-aliasing filter, of sampling one channel after the other, or dead time.  'auto' estimates one of all

@@ -34,6 +34,7 @@ _PEAKS = 200
 _ABOUNDING = 10  # points, and four for each pole: with fewer a real pole may stand for modes outside the band
 _COMPARED = 16
 _RATES = 30  # of real poles that are compared, from one
+_APART = 0.02  # of the square of what a real pole adds: with less beside what others can do it is none of its own
 _SLOWEST = 0.03  # bins: a fifth of the reciprocal of the length
 _FASTEST = 0.5  # of the ceiling
 _PLACES = 8  # of a mode between two of few points, and half-widths in bins there
@@ -129,11 +130,16 @@ class FreeSearch:
         """Whether the data tell n poles from the background that modes outside the band leave."""
         return True
 
-    def lag(self, projection: FreeProjection) -> tuple[complex, float]:
-        """The real pole that explains most of the residuals of a model, and how much."""
+    def lag(self, projection: FreeProjection, yielding: bool) -> tuple[complex, float]:
+        """The real pole that explains most of the residuals of a model, and how much.
+
+        The real poles there are may be `yielding`, to first order: relaxations that lie side by side explain much
+        together that none of them does beside the others as they are.
+        """
         rates = np.geomspace(_SLOWEST * self.region.bin, _FASTEST * self.region.ceiling, _RATES)
+        spread = self.spread(projection.experiments)
         gains = np.sum(
-            [explained_by_lags(rows, projection.p, rates) for rows in self.spread(projection.experiments)], axis=0
+            [explained_by_lags(rows, projection, k, rates, yielding) for k, rows in enumerate(spread)], axis=0
         )
         best = int(np.argmax(gains))
         return complex(-rates[best]), float(gains[best])
@@ -175,19 +181,38 @@ class FreeSearch:
         return []
 
 
-def explained_by_lags(rows: FreeRows, p: ComplexArray, rates: Array) -> Array:
-    """Decrease of the sum of squares by each of some real poles, added to the poles of a model."""
-    known = np.concatenate(list(rows.at(p).blocks(slopes=False)), axis=1)
+def explained_by_lags(
+    rows: FreeRows, projection: FreeProjection, experiment: int, rates: Array, yielding: bool
+) -> Array:
+    """Decrease of the sum of squares by each of some real poles, added to a model whose own may be `yielding`."""
+    p, outputs = projection.p, len(rows.outputs)
+    known = np.concatenate(list(rows.at(p).blocks(slopes=yielding)), axis=1)
     own = rows.own_unknowns(len(p)) + rows.inputs * (2 * len(p) + rows.through)
     basis, _ = orthogonal(known[:own].T)
-    residuals = without(known[-len(rows.outputs) :].T, basis)
+    residuals = without(known[-outputs:].T, basis)
+    turning = np.flatnonzero(p.imag == 0) if yielding else np.zeros(0, int)
+    turned = np.zeros((*residuals.shape, 0))
+    if len(turning):
+        slopes = without(_turned_by(rows, projection, experiment, turning, known[own:]), basis)
+        turned, _ = orthogonal(slopes.reshape(residuals.size, len(turning)))
+        residuals = without(residuals.ravel(), turned).reshape(residuals.shape)
+        turned = turned.reshape(*residuals.shape, -1)
     lags = rows.lags(rates) if isinstance(rows, FreeWindow) else _lags(rows, rates)
     lags = lags / np.maximum(np.linalg.norm(lags, axis=2, keepdims=True), np.finfo(float).tiny)
     lags = lags - lags @ basis @ basis.T
-    sizes, turned = np.linalg.eigh(lags @ lags.transpose(0, 2, 1))
+    sizes, axes = np.linalg.eigh(lags @ lags.transpose(0, 2, 1))
     shown = sizes > tolerance(rows.samples, lags.shape[1])
-    products = np.einsum("kji,kjq->kiq", turned, lags @ residuals)
-    return np.asarray(np.sum(products**2 * (shown / np.where(shown, sizes, 1.0))[:, :, None], axis=(1, 2)))
+    lags = np.einsum("kji,kjt->kit", axes, lags) * (shown / np.sqrt(np.where(shown, sizes, 1.0)))[:, :, None]
+    shares = lags @ residuals
+    if not turned.shape[2]:
+        return np.asarray(np.sum(shares**2, axis=(1, 2)))
+    gains = np.zeros(len(rates))
+    for place, (some, share) in enumerate(zip(lags, shares.reshape(len(rates), -1), strict=True)):
+        crossed = np.einsum("ct,tol->col", some, turned).reshape(len(share), turned.shape[2])
+        free, directions = np.linalg.eigh(np.eye(len(share)) - crossed @ crossed.T)
+        apart = free > _APART
+        gains[place] = np.sum((directions.T @ share)[apart] ** 2 / free[apart])
+    return gains
 
 
 def _lags(rows: FreeRows, rates: Array) -> Array:
@@ -196,6 +221,22 @@ def _lags(rows: FreeRows, rates: Array) -> Array:
     starts += [rows.own_unknowns(k) + place * (2 * k + rows.through) for place in range(rows.inputs)]
     columns = np.concatenate(list(rows.at((-rates).astype(complex)).blocks(slopes=False)), axis=1)
     return np.asarray(columns[np.arange(k)[:, None] + np.array(starts, int)])
+
+
+def _turned_by(
+    rows: FreeRows, projection: FreeProjection, experiment: int, poles: Indices, derivatives: Array
+) -> Array:
+    """Derivatives of the outputs by real poles, one column for each output and pole, from those of the columns."""
+    n, outputs = len(projection.p), len(rows.outputs)
+    sets = int(rows.moving) + rows.inputs
+    slopes = derivatives[: 2 * n * sets].reshape(sets, 2 * n, -1)[:, poles]
+    weights = [projection.own[experiment][poles]] if rows.moving else []
+    weights += [
+        projection.shared[place * (2 * n + projection.has_feedthrough) + poles][:, rows.outputs]
+        for place in rows.acting.tolist()
+    ]
+    turned = np.einsum("ilt,ilo->tol", slopes, np.stack(weights))
+    return np.asarray(turned.reshape(len(turned), outputs * len(poles)))
 
 
 @dataclass(frozen=True)

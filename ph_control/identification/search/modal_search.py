@@ -32,7 +32,7 @@ from ..regression.sections import PoleRegion, Sections
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Progress
-from ..uncertainty.residual_tests import ljung_box
+from ..uncertainty.residual_tests import all_white, is_white, ljung_box
 from .circumstances import Cause, Finding, correlations, foretold
 from .criteria import Criteria, least_gain, past_of_noise, stands_out
 from .dead_times import DeadTimeScan, distinct, numbers_of
@@ -274,8 +274,8 @@ def free_fit(
     start : ndarray of complex, optional
         Poles of positive imaginary part to start from, real parts NaN where they are not known.
     real_poles : int or 'auto'
-        Number of real poles beside the modes; 'auto' takes that which the criterion prefers, and none beside a number
-        of modes that is given.
+        Number of real poles beside the modes; 'auto' takes that which the criterion prefers, see `_with_real_poles`
+        for those beside a number of modes that is given.
     delay : ndarray, shape (p,), optional
         Time by which each output comes later than the response to the inputs; by default whole samples of recordings
         where they explain more.
@@ -328,7 +328,14 @@ def free_fit(
         )  # fmt: skip
 
     automatic = not isinstance(order, int)
-    real_poles = 0 if real_poles == "auto" and not automatic else real_poles
+    if real_poles == "auto" and not automatic:
+        again = partial(
+            free_fit, channels, quantities=quantities, intersample=intersample, offset=offset, moving=moving,
+            criterion=criterion, reports=reports, weighted=weighted, delay=delay, input_delay=input_delay, method=method,
+            doubted=doubted, beside=beside, white=white,
+        )  # fmt: skip
+        fit = again(order, max_order=max_order, start=start, real_poles=0)
+        return fit if start is not None else _with_real_poles(fit, int(order), max_order, again)
     shape = len(channels[0].output_labels), len(channels[0].input_labels)
     given = [np.zeros(n) if values is None else values for n, values in zip(shape, (delay, input_delay), strict=True)]
 
@@ -424,6 +431,24 @@ def _of_responses(
     if any(map(len, wild)):
         return _with_or_without(wild, responses, among, start)
     return _without_errors(among(responses, start=start), responses, among)
+
+
+def _with_real_poles(fit: FreeFit, order: int, max_order: int, again: Callable[..., FreeFit]) -> FreeFit:
+    """The fit of a number of modes, pairs of real poles among them, with further real poles if these are likelier.
+
+    They are looked for where modes alone leave what is no noise, or have no peak, as a pair of real poles has none.
+    Modes that overlap may be fewer, as a search has them all at once.
+    """
+    if fit.interrupted or fit.rounding or fit.beside is not None or not (_broad(fit.projection.p).any() or not is_white(fit.projection)):
+        return fit
+    wider = again("auto", max_order=min(order, max_order))
+    real = _real(wider.projection.p)
+    fewer = order - real // 2 - wider.order
+    if not real or wider.interrupted:
+        return fit
+    if fewer > 0 and not wider.crowded:
+        wider = again(order - real // 2, max_order=max_order, real_poles=real, start=wider.projection.p)
+    return wider if not wider.interrupted and wider.criteria.bic < fit.criteria.bic else fit
 
 
 def _searches_anew(fit: FreeFit, search: _Search, drifting: bool) -> Anew:
@@ -614,17 +639,18 @@ def _without_errors(whole: FreeFit, channels: Sequence[ResponseMatrix], among: C
     if single:
         rest = np.delete(projection.p, list(single))
         return leaving(set(single.values()), start=rest) if len(set(single.values())) <= _FEW_WILD else whole
-    if _is_white(projection):
+    if is_white(projection):
         return whole
     nearest = {
         (k, int(np.argmin(np.where(data.observed.any(axis=(0, 1)), np.abs(data.omega - d), np.inf))))
         for k, data in enumerate(channels) for d in projection.d[projection.p.imag > 0]
     }  # fmt: skip
-    calm = leaving(nearest, order=whole.order)
-    if calm is whole or not _is_white(calm.projection):
+    order: dict[str, int] = {"order": whole.order, "real_poles": _real(projection.p)}
+    calm = leaving(nearest, **order)
+    if calm is whole or not is_white(calm.projection):
         return whole
     start = calm.projection.p
-    fits = [leaving([each], order=whole.order, start=start) for each in sorted(nearest)]
+    fits = [leaving([each], **order, start=start) for each in sorted(nearest)]
     return min((fit for fit in fits if fit is not whole), key=_weighted_bic, default=whole)
 
 
@@ -653,18 +679,6 @@ def _effects(projection: FreeProjection, channels: Sequence[ResponseMatrix]) -> 
             size = np.abs((r * ahead + r.conj() * behind) * rows.weight) ** 2
             effects[number[id(rows.frequencies)]][:, rows.observed] += size
     return effects
-
-
-def _is_white(projection: FreeProjection) -> bool:
-    """Whether what is left of each entry may be white noise."""
-    parts: dict[int, list[Array]] = {}
-    for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
-        assert isinstance(rows, FreeResponse)
-        residuals = rows.in_rows((rows.response - predicted)[:, rows.observed])
-        for output, row in zip(rows.outputs.tolist(), residuals, strict=True):
-            parts.setdefault(output, []).extend([row.real, row.imag])
-    p_values = [ljung_box(each, TUNING.lags) for each in parts.values()]
-    return min(p_values) * len(p_values) >= TUNING.white
 
 
 def _is_likelier_without(whole: FreeFit, calm: FreeFit, lines: Sequence[Indices]) -> bool:
@@ -1831,7 +1845,7 @@ class FreePath:
             return None
         if not given and not self.search.shows_background(len(model.p) + 1):
             return None
-        pole, gain = self.scaled.lag(model.projection)
+        pole, gain = self.scaled.lag(model.projection, yielding=not self.is_white(model))
         p = np.append(model.p, pole)
         if self.search.unknowns_of(p) >= self.counts.sum() or self.is_exact(model) or self.crowded:
             return None
@@ -1942,7 +1956,7 @@ class FreePath:
 
     def is_white(self, model: FreeModel) -> bool:
         """Whether what is left of each output may be white noise."""
-        p_values = []
+        outputs = []
         for output in range(len(self.counts)):
             parts: list[Array] = []
             if isinstance(self.search, Records):
@@ -1951,8 +1965,8 @@ class FreePath:
             else:
                 for rows, residuals in zip(self.search.data, model.residuals, strict=True):
                     parts += [part for row in residuals[rows.outputs == output] for part in (row.real, row.imag)]
-            p_values.append(ljung_box(parts, TUNING.lags))
-        return min(p_values) * len(p_values) >= TUNING.white
+            outputs.append(parts)
+        return all_white(outputs)
 
     def relocated(self, model: FreeModel, sound: bool, most: int) -> FreeModel:
         """The weakest modes exchanged for what stands out of the rest, as long as that is likelier."""

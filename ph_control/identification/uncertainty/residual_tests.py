@@ -19,8 +19,11 @@ from ..._checks import EPS
 from ..._types import Array, Indices, Mask
 from ..data.parts import Signal, blocks
 from ..regression.elimination import eliminate
-from ..regression.time_rows import size_of
+from ..regression.free import FreeProjection
+from ..regression.frequency_rows import FreeResponse
+from ..regression.time_rows import FreeRecord, size_of
 from ..regression.triangular import reduced, triangle
+from ..regression.tuning import TUNING
 from .residual_data import RANK, ResidualData, factor_of, noise_scales, orthonormal_of_unit, scales_of_noise
 
 _NOISE_ORDERS = 20  # most that are tried for the noise
@@ -125,6 +128,28 @@ def _shifted(Q: Array, seen: Mask, lags: Indices) -> tuple[Array, Array]:
             products[row] += piece.T @ both
             sizes[row] += np.vdot(both, both)
     return 0.5 * products, 0.25 * sizes
+
+
+def is_white(projection: FreeProjection) -> bool:
+    """Whether what a model leaves of each output, or entry of a response, may be white noise."""
+    outputs: dict[int, list[Array]] = {}
+    for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
+        if isinstance(rows, FreeResponse):
+            residuals = rows.in_rows((rows.response - predicted)[:, rows.observed])
+            parts = [[row.real, row.imag] for row in residuals]
+        elif isinstance(rows, FreeRecord):
+            parts = [[row] for row in rows.residuals(predicted)[:, rows.observed]]
+        else:
+            continue
+        for output, part in zip(rows.outputs.tolist(), parts, strict=True):
+            outputs.setdefault(output, []).extend(part)
+    return all_white(list(outputs.values()))
+
+
+def all_white(outputs: Sequence[Sequence[Signal]]) -> bool:
+    """Whether none of several outputs, each the residuals of its records, fails the test of whiteness."""
+    p_values = [ljung_box(parts, TUNING.lags) for parts in outputs]
+    return bool(p_values) and min(p_values) * len(p_values) >= TUNING.white
 
 
 def ljung_box(
