@@ -28,6 +28,7 @@ _LEAST = 0.1  # of the noise about a mode that is taken to be left beside what w
 _TOLD = 10.0  # log-likelihood by which noise of a kind has to explain more than white noise
 _ASTRAY = 4.0  # times the squares left beside the modes, at which these were left for the sake of what is no noise
 _GRID = 4096  # frequencies of a spectrum
+_NEGLIGIBLE = 1e-6  # of the largest coefficient of an innovations filter: less at its end is a rounding of the fit
 _EXACT = 1e-13  # relative decrease of the loss at which a refinement ends
 
 
@@ -182,6 +183,7 @@ def fitted_noise(
     steps = [data.record.dt for data in experiments if isinstance(data.record, Recording)]
     if not steps:
         return None
+    filters = [b[: int(np.flatnonzero(np.abs(b) > _NEGLIGIBLE * np.abs(b).max())[-1]) + 1] for b in filters]
     order = max((len(b) - 1 for b in filters), default=0)
     variances, colours = variances.copy(), np.zeros((len(variances), order))
     for output, b in enumerate(filters if order else ()):
