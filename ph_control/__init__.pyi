@@ -75,6 +75,7 @@ from .identification.regression.prediction import ResponseBackground as Response
 from .identification.search.order_selection import OrderSelection as OrderSelection
 from .identification.search.order_selection import order_selection as order_selection
 from .identification.uncertainty.modal_draws import ModalSamples as ModalSamples
+from .identification.uncertainty.noise_model import NoiseModel as NoiseModel
 from .identification.validation.comparison import Comparison as Comparison
 from .identification.validation.comparison import compare as compare
 from .identification.validation.residual_analysis import ResidualAnalysis as ResidualAnalysis

@@ -6,16 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from ..._types import Array
+from ..data.channels import Recording
 from ..regression.elimination import orthogonal, without
 from ..regression.free import FreeProjection, GivenResidues, by_poles, places_of, refine_free
+from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.circumstances import Cause, Finding, foretold, likeliest_ratio, sampled_response
 from ..search.modal_search import FreeFit, is_short
+from ..uncertainty.noise_model import NoiseModel
 from ..uncertainty.residual_tests import ljung_box
 
 _LONGEST = 64  # samples of the past that noise may depend on
@@ -24,6 +28,7 @@ _LEAST = 0.1  # of the noise about a mode that is taken to be left beside what w
 _TOLD = 10.0  # log-likelihood by which noise of a kind has to explain more than white noise
 _ASTRAY = 4.0  # times the squares left beside the modes, at which these were left for the sake of what is no noise
 _GRID = 4096  # frequencies of a spectrum
+_NEGLIGIBLE = 1e-6  # of the largest coefficient of an innovations filter: less at its end is a rounding of the fit
 _EXACT = 1e-13  # relative decrease of the loss at which a refinement ends
 
 
@@ -54,11 +59,14 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     if not findings:
         return free
     free = replace(free, findings=(*free.findings, *findings))
-    if not projection.inputs or any(is_short(record) for record in records):
+    if any(is_short(record) for record in records):
         return free
-    filters = [output.innovations for output in noise]
+    filters = tuple(output.innovations for output in noise)
     through = any(finding.cause is Cause.INPUT_NOISE for finding in findings)
     if free.noise and not through and is_white(free.projection):
+        return free
+    free = replace(free, filters=filters)
+    if not projection.inputs:
         return free
     return _whitened(free, projection, [row for record in records for row in record.filtered(filters)])
 
@@ -171,6 +179,35 @@ def _gains(projection: FreeProjection, rows: FreeRecord) -> Array:
             gain = sampled_response(step, projection.residues[:, o, i], float(projection.feedthrough[o, i]), phase)
             squared_gains[k] += np.mean(u**2) * np.abs(gain) ** 2
     return squared_gains
+
+
+def fitted_noise(
+    experiments: Sequence[FittedChannels], variances: Array, filters: Sequence[Array], share: float
+) -> NoiseModel | None:  # fmt: skip
+    """Noise of the outputs (p,) of records, of residuals with innovations filters; None of responses.
+
+    White noise has the `variances` of the residuals, innovations the mean square of what the filter leaves over
+    `share`, that which a fit leaves of the noise on average.
+    """
+    steps = [data.record.dt for data in experiments if isinstance(data.record, Recording)]
+    if not steps:
+        return None
+    filters = [b[: int(np.flatnonzero(np.abs(b) > _NEGLIGIBLE * np.abs(b).max())[-1]) + 1] for b in filters]
+    order = max((len(b) - 1 for b in filters), default=0)
+    variances, colours = variances.copy(), np.zeros((len(variances), order))
+    for output, b in enumerate(filters if order else ()):
+        if len(b) == 1:
+            continue
+        colours[output, : len(b) - 1] = -b[1:] / b[0]
+        remaining = [
+            lfilter(b / b[0], 1.0, data.measured[output] - data.predicted[output])[len(b) - 1 :] / data.noise_scale
+            for data in experiments
+        ]
+        known = np.concatenate(remaining)
+        known = known[~np.isnan(known)]
+        if len(known):
+            variances[output] = np.mean(known**2) / share
+    return NoiseModel(np.diag(variances), steps[0], colours if order else None)
 
 
 # --- what a fit leaves of the noise ----------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from ..data.frequency_record import FrequencyRecord
 from ..data.parts import Difference, Signal
 from ..data.quantities import checked_quantities
 from ..data.time_record import Record
-from ..diagnosis.coloured_noise import beside_coloured_noise, is_white
+from ..diagnosis.coloured_noise import beside_coloured_noise, fitted_noise, is_white
 from ..diagnosis.fitted_directions import FittedModel, directions_of
 from ..diagnosis.hum import Tones, tones_in, undriven
 from ..diagnosis.outliers import outliers, saturation
@@ -668,6 +668,8 @@ def _judged(
         findings = (*findings, *_outliers(experiments, spare))
     blind = _what_is_blind(shown, poles, residues, request, free) if fit.point.deficiency else ""
     fitted = joint_percent(shares_left(predicted))
+    noise_variance = (variances * samples / spare).reshape(fit.feedthrough.shape[: 1 + free.per_entry])
+    filters = () if rounding else free.filters or free.noise
     evidence = _Evidence(free, tests, findings, fitted, whiteness, spare, refused, blind)
     return PEMResult(
         structure=fit.structure,
@@ -681,7 +683,7 @@ def _judged(
         shapes_scaled=bool(shapes.scaled.all() and len(shapes.scaled)),
         ports=request.ports,
         quantities=request.quantities,
-        noise_variance=(variances * samples / spare).reshape(fit.feedthrough.shape[: 1 + free.per_entry]),
+        noise_variance=noise_variance,
         experiments=shown,
         loss=float(np.exp(counts @ np.log(variances) / max(1, samples))),
         loglik=loglik,
@@ -705,6 +707,7 @@ def _judged(
         delay_stderr=delay_stderr,
         method=free.method,
         blind=bool(blind),
+        noise=fitted_noise(experiments, noise_variance, filters, spare / samples),
     )  # fmt: skip
 
 

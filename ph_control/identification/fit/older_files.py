@@ -69,6 +69,7 @@ def lossless_parts(fields: Fields, experiments: Callable[..., Any]) -> dict[str,
         "shapes_scaled": driven,
         "ports": ((0, 0),) * driven,
         "quantities": (quantity,),
+        "noise": None,
         "noise_variance": np.full((1, 1) if in_frequency else (1,), noise),
         "experiments": tuple(
             _without(experiment, seen, *error) for experiment, error in zip(data, errors, strict=True)

@@ -24,6 +24,7 @@ from ...reduction.nearest_passive import nearest_passive
 from ...systems.port_hamiltonian import PortHamiltonian, ph
 from ..data.channels import Recording, ResponseMatrix, several
 from ..data.experiments import as_channels
+from ..data.time_record import InTime
 from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..regression.free_prediction import (
     FittedChannels,
@@ -38,18 +39,21 @@ from ..search.modal_search import orders_about
 from ..structure.layout import POWERS, residue_of_unit_weight, weights_of
 from ..uncertainty.draws import draw
 from ..uncertainty.modal_draws import ModalSamples
+from ..uncertainty.noise_model import NoiseModel
 from ..uncertainty.state_coordinates import InCoordinates
 from .bootstrap import Resampled
+from .prediction_ahead import Foretelling, ahead, ahead_of_growth, checked_horizon, grows
 from .report import ModalReport
 from .result import FittedModes, OrderRow
 from .scaled_shapes import ModeShapes, Ports
 from .stabilisation import Orders
 
+_MADE_AGAIN = ("system", "observed_system", "_noisy_plant", "_filter")
 _NO_SIZE = 1e-9  # of the largest singular value of a residue: what a state of its own does not stand for
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
+class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes):
     """Result of `pem`: modes and real poles of m inputs and p outputs.
 
     Attributes
@@ -111,6 +115,9 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         What it rests on, in sentences.
     intersample, method : str
         Input between the samples, 'zoh' or 'foh', and the discretisation of the model.
+    noise : NoiseModel or None
+        Noise of the outputs at the samples: its covariance, colours, forces on the plant, and spectrum; None of
+        frequency responses.
     blind : bool
         Whether the input does not show the residues: other residues, with other initial motions, give the same outputs.
     delay, delay_stderr : ndarray, shape (p,)
@@ -169,6 +176,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
     delay_stderr: Array = field(default_factory=lambda: np.zeros(1))
     method: str = "exact"
     blind: bool = False
+    noise: NoiseModel | None = None
     stderr: Mapping[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -203,11 +211,16 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
             states = [data.initial_stderr for data in self.experiments if isinstance(data, FittedExperiment)]
             parts["initial_state"] = states[0] if len(states) == 1 else np.array(states)
         object.__setattr__(self, "stderr", ReadOnlyMapping(parts))
+        record = self.experiments[0].record
+        noise = self.noise
+        if noise is None and isinstance(record, InTime):
+            noise = NoiseModel(np.diag(self.noise_variance), record.dt)  # of a fit in an older file
+        object.__setattr__(self, "noise", None if noise is None else self._with_plant(noise))
         super().__post_init__()
 
     def __getstate__(self) -> dict[str, Any]:
         """What was estimated; systems are made again."""
-        return {name: value for name, value in vars(self).items() if name not in ("system", "observed_system")}
+        return {name: value for name, value in vars(self).items() if name not in _MADE_AGAIN}
 
     # --- channels --------------------------------------------------------------------------------------------------
 
@@ -597,9 +610,10 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         return self.experiments[0].background
 
     def predict(
-        self, data: Any, *, initial_state: ArrayLike | str | None = None, dt: float | None = None
-    ) -> ct.TimeResponseData:
-        """Outputs of the model on another record.
+        self, data: Any, *, initial_state: ArrayLike | str | None = None, dt: float | None = None,
+        horizon: int | None = None,
+    ) -> ct.TimeResponseData:  # fmt: skip
+        """Outputs of the model on another record, simulated or predicted some steps ahead.
 
         Parameters
         ----------
@@ -612,6 +626,9 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
             a fit to a frequency response or several experiments.
         dt : float, optional
             Time between samples, for arrays; by default that of the record that was fitted.
+        horizon : int, optional
+            Predict each output from the inputs and outputs up to so many samples before, by the `noise` of the fit;
+            None, or infinity, simulates it from inputs and motion alone.
 
         Returns
         -------
@@ -627,6 +644,11 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
         -----
         A constant is estimated along with the motion if one was in the fit.  Outputs have their `delay`; what an output
         that comes late is before inputs of the record reach it is a guess, from what it is then.  O(T n (m + p)).
+
+        With a horizon the noise is what the steady filter of `predictor` makes of the past, which is 0 before the
+        record; a sample that is missing tells nothing.  Motion and constant are still those of the simulation, fitted
+        to the whole record, but of plants with a pole that grows, whose simulation leaves the outputs behind: there
+        they are those that leave the filter the least to be told.
 
         Examples
         --------
@@ -652,7 +674,10 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
             record, input_labels=self.input_labels, output_labels=self.output_labels,
             time_unit=common_unit(record, self),
         )  # fmt: skip
-        outputs = self._outputs_on(record, initial_state)
+        steps = checked_horizon(horizon)
+        outputs = self._outputs_on(record, initial_state) if steps is None else (
+            self._predicted_on(record, initial_state, steps)
+        )  # fmt: skip
         prediction = ct.TimeResponseData(
             record.time, outputs, inputs=record.u if m else None, issiso=p == m == 1, output_labels=self.output_labels,
             input_labels=list(self.input_labels) if m else None, title=record.title or "Prediction",
@@ -689,6 +714,17 @@ class PEMResult(ModalReport, Resampled, InCoordinates, FittedModes):
                 "or a state"
             )
         return forced + estimated_motion(self.poles, record, forced, hold, bool(self.offsets.any()), self.delay)
+
+    def _predicted_on(self, record: Recording, initial_state: ArrayLike | str | None, horizon: int) -> Array:
+        """Outputs some steps ahead."""
+        if not record.observed.any():
+            raise StructureError(
+                "the record has no outputs to predict others from; pass the pair (u, y), or leave out the horizon"
+            )
+        named = initial_state is None or isinstance(initial_state, str)
+        if named and initial_state in (None, "estimate", "zero") and grows(self):
+            return ahead_of_growth(self, record.u, record.y, record.dt, horizon, initial_state != "zero")
+        return ahead(self, self._outputs_on(record, initial_state), record.y, record.dt, horizon)
 
     def _beginning_as(self, data: Any, record: Recording) -> Array:
         """Outputs from the motion, and with the offset and drift, of an experiment of the fit."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields as fields_of
 from dataclasses import is_dataclass
 from enum import Enum
-from types import NoneType
+from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -23,6 +23,7 @@ from ..data.time_record import InTime, Record
 from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import QUANTITIES
 from ..regression.prediction import FittedExperiment, ResponseBackground
+from ..uncertainty.noise_model import NoiseModel
 from .older_files import lossless_parts
 from .pem_result import PEMResult
 from .result import STRUCTURES, OrderRow
@@ -35,7 +36,8 @@ _WORDS = {
 # older files do not have them, or they are left out where there is nothing to say
 _MAY_LACK = {
     "drift", "output", "experiment", "findings", "tests", "time_unit", "title", "method", "blind",
-    "initial_stderr", "offset_stderr", "noise_scale", "delay", "delay_stderr", "background",
+    "initial_stderr", "offset_stderr", "noise_scale", "delay", "delay_stderr", "background", "noise",
+    "colours", "forces", "cross", "states",
 }  # fmt: skip
 _MAY_BE_NAN = {
     "covariance", "offset_stderr", "initial_stderr", "y", "response", "shape_stderr", "delay_stderr",
@@ -102,6 +104,8 @@ def _read(kind: Any, fields: Fields, lengths: Shapes | None = None, /, **known: 
 
 
 def _value(fields: Fields, key: str, name: str, hint: Any, shape: tuple[int | None, ...]) -> Any:
+    if get_origin(hint) is UnionType:
+        hint = next(alternative for alternative in get_args(hint) if alternative is not NoneType)
     if get_origin(hint) is np.ndarray:
         kind = get_args(get_args(hint)[1])[0]
         if kind is np.bool_:
@@ -109,9 +113,9 @@ def _value(fields: Fields, key: str, name: str, hint: Any, shape: tuple[int | No
         return (fields.complex_array if kind is np.complex128 else fields.array)(
             key, shape, finite=name not in _MAY_BE_NAN
         )
-    kind = next((alternative for alternative in get_args(hint) if alternative is not NoneType), hint)
     if get_origin(hint) is not tuple:
-        return _scalar(fields, key, name, kind)
+        return _scalar(fields, key, name, hint)
+    kind = get_args(hint)[0]
     if kind is int:
         return _places(fields, key, shape[0])
     if kind is float:
@@ -213,12 +217,32 @@ def _experiment(fields: Fields, n: int, states: int, record: Any) -> Any:
 
 def _to_dict(result: PEMResult, *apart: str) -> dict[str, Any]:
     rows, columns = np.triu_indices(len(result.covariance))
-    return _written(result, "experiments", "order_table", "ports") | {
-        "covariance": result.covariance[rows, columns],
-        "experiments": _counted(_written(experiment, *apart) for experiment in result.experiments),
-        "order_table": _table(result.order_table, "order", "loss", "aic", "bic"),
-        "ports": {"output": [o for o, _ in result.ports], "input": [i for _, i in result.ports]},
-    }
+    return (
+        _written(result, "experiments", "order_table", "ports", "noise")
+        | _noise_to_dict(result.noise)
+        | {
+            "covariance": result.covariance[rows, columns],
+            "experiments": _counted(_written(experiment, *apart) for experiment in result.experiments),
+            "order_table": _table(result.order_table, "order", "loss", "aic", "bic"),
+            "ports": {"output": [o for o, _ in result.ports], "input": [i for _, i in result.ports]},
+        }
+    )
+
+
+def _noise_to_dict(noise: NoiseModel | None) -> dict[str, Any]:
+    """The noise without the matrices of the plant, which a result enters again."""
+    return {} if noise is None else {"noise": _written(noise, "states")}
+
+
+def _noise(fields: Fields, outputs: int) -> NoiseModel | None:
+    """The noise of a result; None where older files have none."""
+    if "noise" not in fields:
+        return None
+    inner = fields.nested("noise")
+    shapes: Shapes = {
+        "covariance": (outputs, outputs), "colours": (outputs, None), "forces": (None, None), "cross": (None, outputs),
+    }  # fmt: skip
+    return _read(NoiseModel, inner, shapes, states=None)
 
 
 def _modal_from_dict(fields: Fields, records: Sequence[Any] = ()) -> Any:
@@ -241,7 +265,7 @@ def _modal_from_dict(fields: Fields, records: Sequence[Any] = ()) -> Any:
     covariance[rows, columns] = covariance[columns, rows] = fields.array("covariance", (len(rows),), finite=False)
     return _read(
         PEMResult, fields, shapes, experiments=experiments, ports=tuple(pairs), covariance=covariance,
-        order_table=_order_table(fields),
+        order_table=_order_table(fields), noise=_noise(fields, outputs),
     )  # fmt: skip
 
 

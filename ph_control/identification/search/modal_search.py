@@ -113,6 +113,8 @@ class FreeFit(Frozen):
         Innovations filter of the noise of each output, with which these rows were made; none where the noise is white.
     crowded : bool
         Whether modes of responses overlap so much that they were found all at once, by a common denominator.
+    filters : tuple of ndarray
+        Innovations filter of the noise of each output that residuals show afterwards; none where `noise` has it all.
     """
 
     projection: FreeProjection
@@ -132,6 +134,7 @@ class FreeFit(Frozen):
     delay_open: bool = False
     noise: tuple[Array, ...] = ()
     crowded: bool = False
+    filters: tuple[Array, ...] = ()
 
     @property
     def per_entry(self) -> bool:
