@@ -9,6 +9,7 @@ Examples
   ph-control compare fresh.csv fitted.json --plot comparison.png
   ph-control compare fresh.csv fitted.json --recording second.csv --json
   ph-control compare fresh.csv fitted.json --at-least 90
+  ph-control compare fresh.csv fitted.json --horizon 1
   ph-control compare machine.csv machine.json --inputs u1,u2 --outputs y1,y2
   cat fresh.csv | ph-control compare - fitted.json --label fitted
 """
@@ -34,6 +35,7 @@ def add_options(parser: Parser) -> None:
     parser.add_argument("--recording", action="append", default=[], metavar="FILE", help="additional experiment")
     parser.add_argument("--at-least", type=float, metavar="PERCENT", help="exit status 1 if the best fit is lower")
     add_meeting(parser, ("estimate", "zero", "fitted"), "as in the fits, else held")
+    parser.add_argument("--horizon", type=int, metavar="STEPS", help="predict so many steps ahead, do not simulate")
     parser.add_argument("--plot", metavar="FILE", help="measured and simulated outputs, and the errors (png, svg, pdf)")
     parser.add_argument("--experiment", type=int, default=1, metavar="N", help="experiment to plot (default 1)")
     add_recording(parser)
@@ -52,7 +54,8 @@ def run(options: Namespace) -> int:
     data = measurements(names, options)
     found = phc.compare(
         data.whole, *(model.content for model in models), method=options.method, intersample=options.intersample,
-        initial_state=options.initial_state, offset=options.offset, labels=labels_of(models, options), **data.keywords,
+        initial_state=options.initial_state, offset=options.offset, labels=labels_of(models, options),
+        horizon=options.horizon, **data.keywords,
     )  # fmt: skip
     if options.plot is not None:
         deliver_picture(found.plot(place), options.plot, options.overwrite)
@@ -73,6 +76,7 @@ def run(options: Namespace) -> int:
             {"samples": one.record.samples, "fit_percent": one.fit_percent, "rms_error": one.rms_error}
             for one in found.experiments
         ],
+        "horizon": found.horizon,
     }  # fmt: skip
     conclude(options, answer, [options.plot], f"{found}\n")
     best = float(found.fit_percent.max())

@@ -26,7 +26,7 @@ class ResidualData:
 
     With several records, one after the other, `lengths` are their samples, and `local` the directions (T_k, p_k) that
     were fitted to each of them alone.  `level` is what a constant looks like, where the residuals are in a scale of
-    their own.
+    their own.  `past` is the number of coefficients of their own past that were fitted.
     """
 
     residuals: Array
@@ -36,6 +36,7 @@ class ResidualData:
     lengths: tuple[int, ...] = ()
     local: tuple[Array, ...] = ()
     level: Array | None = None
+    past: int = 0
 
     @cached_property
     def parts(self) -> list[slice]:

@@ -59,7 +59,8 @@ def autocorrelation(data: ResidualData, confidence: float) -> tuple[Correlation,
     """Autocorrelation at lags 1 to L less its mean for white noise; the Ljung-Box statistic and its p-value.
 
     With all samples and nothing fitted the statistic is the classical one: then the mean is 0 and the variance of the
-    correlation `(T - k)/(T (T + 2))`.
+    correlation `(T - k)/(T (T + 2))`.  Each coefficient of an autoregression that was fitted takes a degree of freedom
+    (Box and Pierce, J. Am. Stat. Assoc. 65, 1970).
     """
     lags = np.arange(1, data.lags + 1)
     pairs = np.zeros(len(lags), int)
@@ -79,7 +80,7 @@ def autocorrelation(data: ResidualData, confidence: float) -> tuple[Correlation,
     per_pair = data.count / np.where(usable, pairs, 1)
     values = np.where(usable, (correlations - mean) * per_pair, np.nan)
     band = norm.isf(0.5 * (1 - confidence)) * np.sqrt(variance) * per_pair
-    p_value = float(chi2.sf(statistic, int(usable.sum()))) if usable.any() else np.nan
+    p_value = float(chi2.sf(statistic, max(1, int(usable.sum()) - data.past))) if usable.any() else np.nan
     return Correlation(lags, values, band, pairs), statistic, p_value
 
 

@@ -22,6 +22,7 @@ from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import InTime
 from ..fit.pem_result import PEMResult
+from ..fit.prediction_ahead import checked_horizon
 from ..regression.prediction import chosen_experiment
 from .measured import (
     HeldData,
@@ -88,6 +89,8 @@ class Comparison(Report, HeldData, Frozen):
         How the initial states were chosen.
     output_labels : tuple of str
         Names of the outputs.
+    horizon : int or None
+        Steps ahead that outputs are predicted; None of simulations.
     """
 
     labels: tuple[str, ...]
@@ -98,6 +101,7 @@ class Comparison(Report, HeldData, Frozen):
     experiments: tuple[ComparedExperiment, ...]
     initial_state: str
     output_labels: tuple[str, ...]
+    horizon: int | None = None
 
     @property
     def best(self) -> str:
@@ -127,7 +131,8 @@ class Comparison(Report, HeldData, Frozen):
         width = max(5, *map(len, self.labels))
         lines = [
             f"Fit to {self._outputs}: "
-            f"{_described([experiment.record for experiment in self.experiments], self.initial_state)}",
+            f"{_described([experiment.record for experiment in self.experiments], self.initial_state)}"
+            f"{'' if self.horizon is None else f'; predicted {steps_ahead(self.horizon)}'}",
             f"  {'model':{width}}  {'fit':>14}" + "  RMS error" * (not self._several),
         ]
         for k, (label, fit, error) in enumerate(zip(self.labels, self.fit_percent, self.rms_error, strict=True)):
@@ -137,9 +142,15 @@ class Comparison(Report, HeldData, Frozen):
             lines += ["", *self._by_output()]
         return "\n".join([*lines, *self._one_by_one()])
 
+    @property
+    def _how(self) -> str:
+        """What outputs of the models in time are."""
+        return "simulated" if self.horizon is None else f"predicted {steps_ahead(self.horizon)}"
+
     def _headline(self) -> str:
         fits = zip(self.labels, self.fit_percent, strict=True)
-        return f"fit to {self._outputs}: " + ", ".join(f"{label} {percent(fit)}" for label, fit in fits)
+        kind = "fit" if self.horizon is None else f"fit {steps_ahead(self.horizon)}"
+        return f"{kind} to {self._outputs}: " + ", ".join(f"{label} {percent(fit)}" for label, fit in fits)
 
     def _note(self, k: int) -> str:
         own = sum(experiment.own_record[k] for experiment in self.experiments)
@@ -220,7 +231,7 @@ class Comparison(Report, HeldData, Frozen):
                 for name in record.output_labels for source in (record.input_labels if not in_time else ("",))
             ]  # fmt: skip
             flat = outputs.reshape(len(names), -1), compared.predicted.reshape(len(self.labels), len(names), -1)
-            what = "Outputs, measured and simulated" if in_time else "Frequency responses, measured and modelled"
+            what = f"Outputs, measured and {self._how}" if in_time else "Frequency responses, measured and modelled"
             grid = record.time if isinstance(record, Recording) else record.omega
             return channel_comparison_plot(grid, *flat, names=names, heading=what + which, **kwargs)
         if isinstance(record, FrequencyRecord):
@@ -229,7 +240,7 @@ class Comparison(Report, HeldData, Frozen):
         # a label such as "velocity [m/s]" carries its unit
         name, unit = parted(self.output_label)
         kwargs = {"output_label": name} | ({"output_unit": unit} if unit else {}) | kwargs
-        heading = f"{kwargs['output_label']}, measured and simulated{which}"
+        heading = f"{kwargs['output_label']}, measured and {self._how}{which}"
         return comparison_plot(record.time, record.y, compared.predicted, heading=heading, **kwargs)
 
 
@@ -243,6 +254,7 @@ def compare(
     offset: bool = False,
     weights: Any = None,
     labels: str | Sequence[str] | None = None,
+    horizon: int | None = None,
 ) -> Comparison:
     """Hold models against data: how many percent of what was measured each explains.
 
@@ -271,6 +283,10 @@ def compare(
         What the squared error at each frequency of a response counts.
     labels : str or sequence of str, optional
         Names of the models; by default their own.  Those that repeat are numbered.
+    horizon : int, optional
+        Predict each output from the inputs and outputs up to so many samples before, by the `noise` of a `PEMResult`;
+        None, or infinity, simulates.  Other models have no noise but a white one, for which prediction and simulation
+        are the same.
 
     Returns
     -------
@@ -282,7 +298,7 @@ def compare(
     StructureError
         If the data or options are not of this form, a model has other inputs or outputs, another step, or leaves the
         range of doubles, or the record has fewer outputs than a model has states to estimate; for a response, if a
-        model has a pole at one of its points, or no response there.
+        model has a pole at one of its points, or no response there, or a horizon is given.
 
     See Also
     --------
@@ -290,9 +306,10 @@ def compare(
 
     Notes
     -----
-    The models are simulated: the measured output is used for the initial state only.  For models of the plant alone,
-    as these are, prediction and simulation are the same.  A fit to the record that a model was made from flatters
-    it; compare on another one.  On its own record a `PEMResult` keeps the `fit_percent` of the fit.
+    Without a horizon the models are simulated: the measured output is used for the initial state only.  For models of
+    the plant alone, without a colour of the noise, forces or poles that grow, prediction and simulation are the same.
+    A fit to the record that a model was made from flatters it; compare on another one.  On its own record a `PEMResult`
+    keeps the `fit_percent` of the fit, if simulated.
 
     A `PEMResult` answers with the quantity that it was fitted to, such as a displacement; any other model with its
     output as it is, so pass `result.observed_system` rather than `result.system` to other tools.
@@ -341,7 +358,7 @@ def compare(
       plant         88.88 %     0.6437
     """
     automatic = isinstance(intersample, str) and intersample == "auto"
-    rules = Rules(method, "zoh" if automatic else intersample, initial_state, offset)
+    rules = Rules(method, "zoh" if automatic else intersample, initial_state, offset, checked_horizon(horizon))
     if automatic:
         fits = (model for model in models if isinstance(model, PEMResult))
         holds = (fit.intersample for fit in fits if getattr(fit, "method", "exact") == method)
@@ -349,6 +366,10 @@ def compare(
     if not models:
         raise StructureError("no model given; pass at least one after the data")
     records = experiments_to_hold_against(data, dt, models, weights)
+    if rules.horizon is not None and not isinstance(records[0], InTime):
+        raise StructureError(
+            f"horizon is {rules.horizon}, and frequency responses have no samples to predict others from: leave it out"
+        )
     names = names_of(models, labels)
     experiments = []
     for record, answers in zip(records, answers_to(models, names, records, rules), strict=True):
@@ -370,6 +391,7 @@ def compare(
         experiments=tuple(experiments),
         initial_state=initial_state,
         output_labels=records[0].output_labels,
+        horizon=rules.horizon,
     )
 
 
@@ -380,6 +402,11 @@ def _measures(answers: Sequence[Any]) -> dict[str, Array]:
         "output_fit_percent": np.array([fits_of_outputs(pairs) for pairs in answers]),
         "rms_error": np.array([rms_of(pairs) for pairs in answers]),
     }
+
+
+def steps_ahead(horizon: int) -> str:
+    """How far ahead a prediction is, as '1 step ahead'."""
+    return f"{counted(horizon, 'step')} ahead"
 
 
 def _described(records: Sequence[Kind], initial_state: str) -> str:

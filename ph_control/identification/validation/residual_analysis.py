@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from textwrap import wrap
 from typing import Any
 
@@ -20,9 +20,12 @@ from ...plotting.validation_plot import CorrelationPanel, ResponsePanel, residua
 from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
+from ..fit.pem_result import PEMResult
+from ..fit.prediction_ahead import checked_horizon, is_simulated
 from ..regression.prediction import chosen_experiment
 from ..uncertainty.residual_data import ResidualData, noise_scales, without_peaks
 from ..uncertainty.residual_tests import Correlation, autocorrelation, cross_correlation, influence
+from .comparison import steps_ahead
 from .findings import message_of, verdict_of
 from .measured import (
     HeldData,
@@ -42,7 +45,7 @@ _MOST = 60_000_000  # numbers in the directions that were fitted; with more samp
 
 @dataclass(frozen=True, eq=False)
 class ResidualExperiment(HeldExperiment):
-    """What a model leaves in one experiment.
+    """What a model leaves in one experiment, predicted and simulated.
 
     Attributes
     ----------
@@ -50,6 +53,8 @@ class ResidualExperiment(HeldExperiment):
         The data.
     residuals : ndarray, shape (T,)
         Measured output less that of the model, complex for a frequency response; NaN where missing.
+    simulation_residuals : ndarray, shape (T,)
+        The same where the output is simulated.
     fit_percent : float
         As in `compare`, here alone.
     own_record : bool
@@ -57,6 +62,7 @@ class ResidualExperiment(HeldExperiment):
     """
 
     residuals: NDArray[Any]
+    simulation_residuals: NDArray[Any]
     fit_percent: float
     own_record: bool
 
@@ -113,6 +119,11 @@ class ResidualAnalysis(Report, HeldData, Frozen):
         Whether the model was fitted to any of these very data.
     input_label, output_label : str
         Names of the signals.
+    horizon : int or None
+        Steps ahead that outputs are predicted, for the residuals that all of this is about; None where past outputs
+        tell nothing, so that the residuals are those of the simulation.
+    simulation_fit_percent, simulation_whiteness : float
+        Fit, and p-value of white residuals, where outputs are simulated.
     """
 
     label: str
@@ -138,6 +149,9 @@ class ResidualAnalysis(Report, HeldData, Frozen):
     own_record: bool
     input_label: str
     output_label: str
+    horizon: int | None
+    simulation_fit_percent: float
+    simulation_whiteness: float
 
     @property
     def verdict(self) -> str:
@@ -153,6 +167,12 @@ class ResidualAnalysis(Report, HeldData, Frozen):
     def residuals(self) -> NDArray[Any]:
         """Measured output less that of the model, all experiments one after the other; NaN where missing."""
         return _checks.readonly(np.concatenate([experiment.residuals for experiment in self.experiments]))
+
+    @property
+    def simulation_residuals(self) -> NDArray[Any]:
+        """Measured output less that of a simulation, all experiments one after the other; NaN where missing."""
+        parts = [experiment.simulation_residuals for experiment in self.experiments]
+        return _checks.readonly(np.concatenate(parts))
 
     @property
     def dt(self) -> float:
@@ -186,7 +206,7 @@ class ResidualAnalysis(Report, HeldData, Frozen):
         lines = [
             f"Residuals of {self.label!r} on {self.output_label!r}: {self.verdict}",
             *[f"  experiments                  {len(self.experiments)}, together"] * several,
-            f"  fit                          {percent(self.fit_percent)}{own}",
+            *self._fits(own),
             f"  autocorrelation              {auto}",
             f"  Ljung-Box, {L} lags".ljust(31) + f"{self.ljung_box:.4g}, {p_value(self.whiteness)}",
         ]
@@ -199,6 +219,16 @@ class ResidualAnalysis(Report, HeldData, Frozen):
         mean = "  constant over frequency" if self._spectral else "  mean"
         lines.append(mean.ljust(31) + p_value(self.offset_p_value))
         return "\n".join([*lines, "", *(f"  {line}" for line in wrap(self.message, _WIDTH))])
+
+    def _fits(self, own: str) -> list[str]:
+        """Lines on the fit of predictions, and of simulations where these are others."""
+        if self.horizon is None:
+            return [f"  fit                          {percent(self.fit_percent)}{own}"]
+        simulated = f"Ljung-Box {p_value(self.simulation_whiteness)}"
+        return [
+            f"  fit {steps_ahead(self.horizon)}".ljust(31) + f"{percent(self.fit_percent)}{own}",
+            f"  fit of the simulation        {percent(self.simulation_fit_percent)}, {simulated}",
+        ]
 
     def plot(self, experiment: int = 0, **kwargs: Any) -> ct.ControlPlot:
         """Picture of the correlations with their bands; of a response, the residual over frequency above its own.
@@ -249,7 +279,8 @@ class ResidualAnalysis(Report, HeldData, Frozen):
             tests = f"response {p_value(self.response_p_value)}, feedback {p_value(self.feedback_p_value)}"
             title, lag = f"Correlation with the input ({tests})", "Lag of the residual behind the input [samples]"
             panels.append(CorrelationPanel(*cross, title, lag))
-        return residual_panels_plot(panels, f"Residuals of {self.label}: {self.verdict}", **kwargs)
+        ahead = "" if self.horizon is None else f", {steps_ahead(self.horizon)}"
+        return residual_panels_plot(panels, f"Residuals of {self.label}{ahead}: {self.verdict}", **kwargs)
 
 
 def residual_analysis(
@@ -264,8 +295,11 @@ def residual_analysis(
     weights: Any = None,
     lags: int | None = None,
     confidence: float = 0.99,
+    horizon: int | None = 1,
 ) -> ResidualAnalysis:
     """Ask the residuals of a model what it leaves out: dynamics, an offset, coloured noise, or feedback.
+
+    They are those of predictions one step ahead, by the `noise` of a `PEMResult`, with those of the simulation beside.
 
     Parameters
     ----------
@@ -280,6 +314,9 @@ def residual_analysis(
         Largest lag L; by default 25, or a fifth of the observed samples if that is less.
     confidence : float
         Probability of the bands, between 0 and 1.
+    horizon : int or None
+        Steps ahead that outputs are predicted; None, or infinity, simulates them.  Residuals more than one step ahead
+        are coloured by nature.  Frequency responses, and models without noise, have one kind of residuals only.
 
     Returns
     -------
@@ -297,12 +334,14 @@ def residual_analysis(
 
     Notes
     -----
-    *Autocorrelation.*  Pairs of observed samples only.  What was fitted to this record (the initial state; for a
+    *Autocorrelation.* Pairs of observed samples only. What was fitted to this record (the initial state; for a
     `PEMResult` on its own record all its parameters) takes noise out of the residuals: mean and variance of their
     correlation are those of white noise without these directions, also in the Ljung-Box statistic, which is the
-    classical one where nothing was fitted and nothing is missing (Ljung and Box, Biometrika 65, 1978).  Like
-    that one it is somewhat too strict on short records: of records of 100 white samples it refuses, with 10 lags, 2.7 %
-    where 1 % are meant.  Beyond 6e7 numbers, samples times parameters, the correction is left out.
+    classical one where nothing was fitted and nothing is missing (Ljung and Box, Biometrika 65, 1978). Like that one
+    it is somewhat too strict on short records: of records of 100 white samples it refuses, with 10 lags, 2.7 % where
+    1 % are meant. Where the colour of the noise was fitted to this record, each of its coefficients takes a degree of
+    freedom; as their number was chosen too, residuals look rather whiter than they are. Beyond 6e7 numbers, samples
+    times parameters, the correction is left out.
 
     *Correlation with the input.*  The band is `sum_m c_e(m) c_u(m)` with both autocorrelations.  The p-values are those
     of F tests that regress the residuals on shifted inputs: at lags 0 to L for a response, and beside these at lags -L
@@ -336,6 +375,7 @@ def residual_analysis(
     >>> picture = analysis.plot()
     """
     rules = Rules(method, intersample, initial_state, offset)
+    steps = checked_horizon(horizon)
     records = experiments_to_hold_against(data, dt, [model], weights)
     if isinstance(records[0], Recording | ResponseMatrix):
         raise StructureError(
@@ -346,8 +386,12 @@ def residual_analysis(
     (name,) = names_of([model], None)
     L = _largest_lag(lags, records)
     level = _checks.level("confidence", confidence)
-    answers = [answer for (answer,) in answers_to([model], [name], records, rules)]
-    return _analysed(records, name, answers, L, level)
+    simulated = [answer for (answer,) in answers_to([model], [name], records, rules)]
+    if steps is None or not isinstance(records[0], Record) or not isinstance(model, PEMResult) or is_simulated(model):
+        return _analysed(records, name, simulated, L, level)
+    answers = [answer for (answer,) in answers_to([model], [name], records, replace(rules, horizon=steps))]
+    beside = _analysed(records, name, simulated, L, level)
+    return _analysed(records, name, answers, L, level, (steps, simulated, beside.whiteness))
 
 
 def _largest_lag(lags: Any, records: tuple[Any, ...]) -> int:
@@ -359,8 +403,12 @@ def _largest_lag(lags: Any, records: tuple[Any, ...]) -> int:
 
 
 def _analysed(
-    records: tuple[Kind, ...], name: str, answers: list[Simulation], lags: int, confidence: float
-) -> ResidualAnalysis:
+    records: tuple[Kind, ...], name: str, answers: list[Simulation], lags: int, confidence: float,
+    beside: tuple[int, list[Simulation], float] | None = None,
+) -> ResidualAnalysis:  # fmt: skip
+    """Tests of residuals; `beside` predictions their horizon, the simulations, and how white these leave them."""
+    horizon, simulations, simulation_whiteness = beside or (None, answers, np.nan)
+    simulated = [(record, answer.output) for record, answer in zip(records, simulations, strict=True)]
     residuals = [record.measured - answer.output for record, answer in zip(records, answers, strict=True)]
     outputs = [(record, answer.output) for record, answer in zip(records, answers, strict=True)]
     data, unit = _residual_data(records, residuals, answers, lags)
@@ -387,11 +435,15 @@ def _analysed(
         offset_p_value=causes.offset, noise_order=causes.noise_order,
         means=_means(data, unit, spectral), rounding=rounding, input_varies=bool(data.v.any()), confidence=confidence,
         experiments=tuple(
-            ResidualExperiment(output[0], residual, fit_to([output]), answer.own)
-            for output, residual, answer in zip(outputs, residuals, answers, strict=True)
+            ResidualExperiment(output[0], residual, record.measured - simulation, fit_to([output]), answer.own)
+            for output, residual, answer, (record, simulation) in zip(
+                outputs, residuals, answers, simulated, strict=True
+            )
         ),
         fit_percent=fit_to(outputs), own_record=any(answer.own for answer in answers),
-        input_label=first.input_label, output_label=first.output_label,
+        input_label=first.input_label, output_label=first.output_label, horizon=horizon,
+        simulation_fit_percent=fit_to(simulated),
+        simulation_whiteness=whiteness if beside is None else simulation_whiteness,
     )  # fmt: skip
 
 
@@ -438,6 +490,7 @@ def _residual_data(
     return ResidualData(
         without_peaks(joined) if spectral else joined, u, np.concatenate(series(shared)), lags,
         tuple(len(rows) for rows in series(shared)), tuple(series(local)), level,
+        max(answer.past for answer in answers),
     ), unit  # fmt: skip
 
 

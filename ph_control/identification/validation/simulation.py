@@ -28,6 +28,7 @@ from ..data.frequency_record import FrequencyRecord, InFrequency
 from ..data.time_record import InTime, Record
 from ..diagnosis.fitted_directions import Directions, directions_of, same_data
 from ..fit.pem_result import PEMResult
+from ..fit.prediction_ahead import ahead, ahead_of_growth, grows, is_simulated
 
 Kind = Record | FrequencyRecord | Recording | ResponseMatrix
 
@@ -43,12 +44,13 @@ class Simulation:
     `output` has shape (T,), or is complex of shape (K,) for a frequency response; (p, T) or (p, m, K) of several
     channels, of which there are no directions.  `directions()` are its derivatives
     by all that was estimated from these data: noise along them is missing from the residuals.  `own` tells the data
-    that the model itself was fitted to.
+    that the model itself was fitted to, and `past` how many coefficients of the noise foretell it there.
     """
 
     output: NDArray[Any]
     directions: Callable[[], Directions]
     own: bool = False
+    past: int = 0
 
 
 @dataclass(frozen=True)
@@ -65,12 +67,16 @@ class Motions:
 
 @dataclass(frozen=True)
 class Rules:
-    """How models meet a record: hold, initial state, and whether a constant is added where a model has none."""
+    """How models meet a record: hold, initial state, and whether a constant is added where a model has none.
+
+    Outputs are predicted a `horizon` of steps ahead by models with a noise, and simulated without one.
+    """
 
     method: str
     intersample: str
     initial_state: str
     offset: bool
+    horizon: int | None = None
 
     def __post_init__(self) -> None:
         _checks.choice("method", self.method, METHODS)
@@ -103,7 +109,7 @@ def answers_to(
 def _answer_to(model: Any, label: str, record: Kind, rules: Rules) -> Simulation:
     """What a `PEMResult`, a system of this package, or a linear system of python-control says of an experiment."""
     if isinstance(model, PEMResult):
-        return _answer_of_fit(model, label, record, rules)
+        return _ahead(_answer_of_fit(model, label, record, rules), model, record, rules)
     if isinstance(record, FrequencyRecord | ResponseMatrix):
         return Simulation(_response(model, label, record), lambda: _no_directions(record))
     _refuse_fitted(model, label, rules)
@@ -250,6 +256,41 @@ def _answer_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules) -> 
     return Simulation(
         answer, lambda: _no_directions(record) if place is None else _own_directions(model, place), place is not None
     )
+
+
+def _ahead(answer: Simulation, model: PEMResult, record: Kind, rules: Rules) -> Simulation:
+    """What a fit foretells some steps ahead, and in which directions it was fitted; of a response its simulation."""
+    horizon = rules.horizon
+    if horizon is None or isinstance(record, FrequencyRecord | ResponseMatrix) or is_simulated(model):
+        return answer
+    data: Any = several(record)
+    outputs, inputs = _matching(model, "model", data)
+    u = np.zeros((len(inputs), data.samples))
+    u[inputs] = data.u if len(data.u) else 0.0
+    y, simulated = np.empty_like(data.y), np.empty_like(data.y)
+    y[outputs], simulated[outputs] = data.y, np.reshape(answer.output, data.y.shape)
+
+    def shaped(values: Array) -> Array:
+        return values[outputs][0] if isinstance(record, Record) else values[outputs]
+
+    def directions() -> Directions:
+        """Derivatives of the prediction `simulated + F (y - simulated)` with a linear filter F, and by this filter."""
+        if grows(model):
+            return _no_directions(record)
+        each, nothing = answer.directions(), np.where(np.isnan(y), np.nan, 0.0)
+        shared, local = (
+            np.array([ahead(model, column[None], nothing, data.dt, horizon)[0] for column in columns.T])
+            .reshape(columns.T.shape).T
+            for columns in (each.shared, each.local)
+        )  # fmt: skip
+        return Directions(shared, local)
+
+    past = max(model.noise.orders) * answer.own if model.noise else 0
+    moving = rules.initial_state != "zero" or not data.driven
+    predicted = ahead_of_growth(model, u, y, data.dt, horizon, moving) if grows(model) else (
+        ahead(model, simulated, y, data.dt, horizon)
+    )  # fmt: skip
+    return Simulation(shaped(predicted), directions, answer.own, past)
 
 
 def _own_directions(model: PEMResult, place: int) -> Directions:
