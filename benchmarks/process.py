@@ -2,11 +2,14 @@
 
     python -m benchmarks.process control [--seeds N] [--name NAME ...]
     python -m benchmarks.process foretell [--seeds N] [--name NAME ...] [--no-peers]
+    python -m benchmarks.process predict [--seeds N] [--name NAME ...] [--no-peers]
 
 `control` fits plants with real poles, alone and beside modes, to 2000 samples with white noise of 3 %, by the default
 call, and counts right orders, squared errors of the poles over their variances, and how often 95 % intervals cover.
 `foretell` fits the first half of records of process plants, whose noise is coloured and as large as they are, by the
 default call, and foretells the second half; beside it stands the best of some subspace methods at its best order.
+`predict` predicts each output of the second half one step ahead, by the Kalman filters of the fits and of subspace
+methods at the order that is best there; beside it stand the p-values of white errors.
 """
 
 from __future__ import annotations
@@ -21,9 +24,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import linear_sum_assignment
 from scipy.signal import lfilter
+from scipy.stats import chi2
 
 import ph_control as phc
 
@@ -360,10 +364,133 @@ def foretell_table(names: Sequence[str], seeds: int, with_peers: bool) -> None:
             )
 
 
+# --- one step ahead --------------------------------------------------------------------------------------------------
+
+
+def _modes(rng: np.random.Generator, samples: int = 3000) -> tuple[Array, Array]:
+    """Two modes at two sensors under noise that is 0.9 times what it was a sample before."""
+    u = rng.standard_normal((1, samples))
+    poles = np.array([-0.006 + 0.4j, -0.01 + 1.1j])
+    x = held(poles, np.array([[[0.02], [0.01j]], [[0.03j], [0.02]]]), u, 1.0)
+    noise = np.array([loaded(rng, samples, 0.9) for _ in x])
+    return u, x + 0.5 * np.std(x, axis=1, keepdims=True) * noise
+
+
+PREDICTED = {**PROCESS, "modes, noise 0.9": _modes}
+
+Matrices = tuple[Array, Array, Array, Array]  # of a predictor, from inputs and outputs to outputs one step ahead
+
+
+def errors_of(predictor: Matrices, u: Array, y: Array) -> Array:
+    """Errors (p, T) one step ahead; the first state is that of the least errors in the beginning."""
+    A, B, C, D = predictor
+    x, signals, errors = np.zeros(len(A)), np.concatenate([u, y]), np.zeros(y.shape)
+    free, state = np.zeros((*y.shape, len(A))), np.eye(len(A))
+    for k in range(u.shape[1]):
+        errors[:, k], free[:, k] = y[:, k] - C @ x - D @ signals[:, k], C @ state
+        x, state = A @ x + B @ signals[:, k], A @ state
+    columns = free[:, :BEGINNING].reshape(-1, len(A))
+    return errors - free @ np.linalg.lstsq(columns, errors[:, :BEGINNING].ravel(), rcond=1e-6)[0]
+
+
+def with_gain(A: Array, B: Array, C: Array, D: Array, K: Array) -> Matrices:
+    """Predictor of `x+ = A x + B u + K e`, `y = C x + D u + e`."""
+    both = np.concatenate([B - K @ D, K], axis=1)
+    return A - K @ C, both, C, np.concatenate([D, np.zeros((len(C),) * 2)], axis=1)
+
+
+def riccati_gain(A: Array, C: Array, Q: Array, R: Array, S: Array) -> Array:
+    """Gain of the Kalman filter."""
+    P = solve_discrete_are(A.T, C.T, Q, R, s=S)
+    return np.asarray(np.linalg.solve(C @ P @ C.T + R, (A @ P @ C.T + S).T).T)
+
+
+def predicting_peers(u: Array, y: Array) -> dict[str, Matrices]:
+    """Predictors of subspace methods at every order up to `MOST`, by name and order."""
+    import pandas as pd
+    from nfoursid.nfoursid import NFourSID
+    from sippy_unipi import system_identification
+
+    logging.disable(logging.WARNING)
+    predictors: dict[str, Matrices] = {}
+    names = [f"u{k}" for k in range(len(u))], [f"y{k}" for k in range(len(y))]
+    frame, p = pd.DataFrame(np.concatenate([u, y]).T, columns=[*names[0], *names[1]]), len(y)
+    for order in range(1, MOST + 1):
+        for method in ("N4SID", "CVA"):
+            try:
+                model = system_identification(
+                    y, u, method, SS_fixed_order=order, SS_f=HORIZON, SS_p=HORIZON, tsample=1.0, SS_D_required=True
+                )
+                matrices = (np.asarray(getattr(model, name), float) for name in "ABCDK")
+                predictors[f"{method} {order}"] = with_gain(*matrices)
+            except Exception:  # a method that fails at this order has no model
+                continue
+        try:
+            subspace = NFourSID(frame, names[1], names[0], num_block_rows=HORIZON)
+            subspace.subspace_identification()
+            model, noise = subspace.system_identification(rank=order)
+            K = riccati_gain(model.a, model.c, noise[p:, p:], noise[:p, :p], noise[p:, :p])
+            predictors[f"nfoursid {order}"] = with_gain(model.a, model.b, model.c, model.d, K)
+        except Exception:
+            continue
+    return predictors
+
+
+def whiteness(errors: Array, lags: int = 20) -> float:
+    """p-value of the Ljung-Box test of errors (p, T), the least over outputs times their number."""
+    p_values = []
+    for e in errors - errors.mean(axis=1, keepdims=True):
+        r = np.array([e[k:] @ e[: len(e) - k] for k in range(lags + 1)]) / (e @ e)
+        p_values.append(chi2.sf(len(e) * (len(e) + 2) * np.sum(r[1:] ** 2 / (len(e) - np.arange(1, lags + 1))), lags))
+    return float(min(1.0, len(errors) * min(p_values)))
+
+
+def predict_table(names: Sequence[str], seeds: int, with_peers: bool) -> None:
+    """Print a line for each record: percent of the outputs that are predicted, and p-values of white errors."""
+    print(f"{'record':26} {'seed':>4} {'simulated':>9} {'one step':>8} {'white 1':>8} {'white 2':>8}  best of others")
+    for name in names:
+        for seed in range(seeds):
+            u, y = PREDICTED[name](np.random.default_rng([seed, 7]))
+            half = u.shape[1] // 2
+            first, second = slice(None, half), slice(half, None)
+            result: Any = phc.pem(squeezed(u[:, first], y[:, first]), dt=1.0)
+            early = bool(np.any(result.delay < 0))  # in a loop noise reaches the input, which then seems to be late
+            if early:
+                result = phc.pem(squeezed(u[:, first], y[:, first]), dt=1.0, delay=0)
+            predictor, offset = result.predictor, np.reshape(result.offsets, (-1, len(y)))[0][:, None]
+            matrices: Any = tuple(np.asarray(getattr(predictor, name)) for name in "ABCD")
+            parts = (first, second)
+            errors = [errors_of(matrices, u[:, part], y[:, part] - offset)[:, BEGINNING:] for part in parts]
+            later = y[:, second][:, BEGINNING:]
+            fit = percent(later, later - errors[1])
+            simulated = percent(y[:, second], foretold(result, u[:, second], y[:, second]))
+            best = ""
+            if with_peers:
+                means = [each[:, first].mean(axis=1, keepdims=True) for each in (u, y)]
+                centred = [each - mean for each, mean in zip((u, y), means, strict=True)]
+                models = predicting_peers(*(each[:, first] for each in centred))
+                with np.errstate(all="ignore"):
+                    each_error = {
+                        key: errors_of(model, *(each[:, second] for each in centred))[:, BEGINNING:]
+                        for key, model in models.items()
+                    }
+                    fits = {key: percent(later, later - error) for key, error in each_error.items()}
+                for method in ("nfoursid", "N4SID", "CVA"):
+                    known = {key: value for key, value in fits.items() if key.startswith(method) and value > -np.inf}
+                    top = max(known, key=lambda key: known[key], default="")
+                    best += f"{known[top]:6.2f} {top:11}" if top else f"{'-':>6} {method:11}"
+            p_values = [whiteness(each) for each in errors]
+            print(
+                f"{name:26} {seed:4d} {simulated:9.1f} {fit:8.2f} {p_values[0]:8.1g} {p_values[1]:8.1g}  {best}"
+                f"{' with delay=0' * early}",
+                flush=True,
+            )
+
+
 def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("control", "foretell"))
+    parser.add_argument("what", choices=("control", "foretell", "predict"))
     parser.add_argument("--seeds", type=int, default=None)
     parser.add_argument("--name", action="append")
     parser.add_argument("--no-peers", action="store_true")
@@ -371,6 +498,8 @@ def main() -> None:
     warnings.simplefilter("ignore")
     if options.what == "control":
         control_table(options.name or list(CONTROL), options.seeds or 25)
+    elif options.what == "predict":
+        predict_table(options.name or list(PREDICTED), options.seeds or 2, not options.no_peers)
     else:
         foretell_table(options.name or list(PROCESS), options.seeds or 2, not options.no_peers)
 
