@@ -81,11 +81,12 @@ def predicted_outputs(
     `input_delay` (m,): then outputs are the sums of those of inputs that act together.
     """
     if input_delay is not None and input_delay.any() and len(u):
-        own, total = np.zeros(residues.shape[1]) if delay is None else delay, np.zeros((residues.shape[1], u.shape[1]))
+        q = residues.shape[1]
+        own, together = np.zeros(q) if delay is None else delay, np.zeros((q, u.shape[1]))
         for late in np.unique(input_delay):
             which = input_delay == late
-            total += predicted_outputs(p, residues[:, :, which], through[:, which], u[which], hold, own + late)
-        return total
+            together += predicted_outputs(p, residues[:, :, which], through[:, which], u[which], hold, own + late)
+        return together
     if delay is not None and delay.any():
         outputs = np.empty((len(delay), u.shape[1]))
         for late in np.unique(delay):

@@ -103,18 +103,18 @@ class DeadTimeScan:
 
     def columns(self, rows: FreeRecord) -> tuple[Array, Array, Array]:
         """Outputs (q, T), columns (k, T) of the free motion and the constants, and (m, k, T) of inputs from rest."""
-        T, modes = rows.length, SampledModes.of(rows.hold, self.p)
+        T, modes = min(rows.length, _SAMPLES), SampledModes.of(rows.hold, self.p)
         own = [np.arange(T) ** float(k) for k in range(rows.offset)]
         if rows.moving:
             own += _parts(self.p, rows.hold.step(self.p).powers(np.arange(float(T))))
         through = bool(self.fed[rows.outputs].any())
         driven = np.zeros((self.fed.shape[1], len(self.p) + int(np.sum(self.p.imag != 0)) + through, T))
-        for u, i in zip(rows.u[: rows.inputs], rows.acting.tolist(), strict=True):
+        for u, i in zip(rows.u[: rows.inputs, :T], rows.acting.tolist(), strict=True):
             steps = zip(modes.multiplier, modes.b0, modes.b1, strict=True)
             responses = np.array([lfilter([b1, b0], [1.0, -lam], u) for lam, b0, b1 in steps]).reshape(-1, T)
             fed = [u * self.fed[rows.outputs, i].any()] * through
             driven[i] = [*_parts(self.p, responses), *fed]
-        return rows.measured, np.reshape(own, (-1, T)), driven
+        return rows.measured[:, :T], np.reshape(own, (-1, T)), driven
 
 
 def _parts(p: ComplexArray, values: ComplexArray) -> Iterator[Array]:
@@ -159,9 +159,8 @@ def _groups(scan: DeadTimeScan, noise: tuple[Array, ...]) -> list[_Group]:
     groups = []
     for (outputs, _), parts in blocks.items():
         ends = np.cumsum([0, *(len(targets) for targets, _ in parts)]).tolist()
-        targets, late = (
-            np.concatenate(arrays, axis=axis) for arrays, axis in zip(zip(*parts, strict=True), (0, -1), strict=True)
-        )
+        targets = np.concatenate([targets for targets, _ in parts])
+        late = np.concatenate([late for _, late in parts], axis=-1)
         groups.append(_Group(np.frombuffer(outputs, int), targets, late, [slice(*pair) for pair in pairwise(ends)]))
     return groups
 
@@ -170,11 +169,9 @@ def _block(
     scan: DeadTimeScan, rows: FreeRecord, members: list[int], b: Array, columns: tuple[Array, Array, Array]
 ) -> tuple[Array, Array]:
     """Outputs and columns of one experiment in the rows of white noise, as in a group."""
-    end = min(rows.length, _SAMPLES)
+    end = columns[0].shape[1]
     first, past = (scan.most, TUNING.past_of_noise) if rows.moving else (0, 0)
-    outputs, own, driven = (
-        np.asarray(lfilter(b, 1.0, part[..., :end], axis=-1)) if len(b) > 1 else part[..., :end] for part in columns
-    )
+    outputs, own, driven = (np.asarray(lfilter(b, 1.0, part, axis=-1)) if len(b) > 1 else part for part in columns)
     missing = np.convolve(~rows.observed[:end], np.ones(len(b)))[:end] > 0
     seen = np.flatnonzero(~missing[first + past :]) + first + past
     # the free motion of late inputs is one of the same poles: columns may begin anywhere
@@ -263,8 +260,6 @@ def _gram(columns: Array) -> Array:
 
 def _rest(columns: Array, targets: Array) -> Array:
     """What columns (k, N) do not explain of targets (N, q)."""
-    return (
-        np.asarray(targets - columns.T @ np.linalg.solve(_gram(columns), columns @ targets))
-        if len(columns)
-        else targets
-    )
+    if not len(columns):
+        return targets
+    return np.asarray(targets - columns.T @ np.linalg.solve(_gram(columns), columns @ targets))

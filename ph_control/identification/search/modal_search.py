@@ -337,15 +337,12 @@ def free_fit(
         fit = again(order, max_order=max_order, start=start, real_poles=0)
         return fit if start is not None else _with_real_poles(fit, int(order), max_order, again)
     shape = len(channels[0].output_labels), len(channels[0].input_labels)
-    given = [np.zeros(n) if values is None else values for n, values in zip(shape, (delay, input_delay), strict=True)]
+    none = np.zeros(shape[0]), np.zeros(shape[1])
+    given = Lateness(none[0] if delay is None else delay, none[1] if input_delay is None else input_delay)
 
     def path_for(
-        channels: Experiments,
-        terms: int = int(bool(offset)),
-        hold: str = intersample,
-        late: Lateness | None = None,
+        channels: Experiments, terms: int = int(bool(offset)), hold: str = intersample, late: Lateness = given
     ) -> FreePath:
-        late = Lateness(*given) if late is None else late
         return FreePath.of(
             channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles, method=method,
             constant_open=offset == "auto" and terms == 1, late=late, white=white,
@@ -367,7 +364,7 @@ def free_fit(
     if automatic and criterion == "holdout":
         most, automatic = foretelling_order(channels, begin, most, path_for), False
     search = _Search(path_for, begin, most, automatic, None if intersample == "auto" else intersample)
-    dead = delay is None and input_delay is None
+    dead = delay is None and input_delay is None and shape[1] > 1 and isinstance(channels[0], Recording)
     late = _of_late_inputs(path_for(channels), channels, search, offset == "auto") if dead else None
     fit = late or search.along(path, channels)
     if weighted and start is None and not windowed:
@@ -933,7 +930,7 @@ def _of_late_inputs(path: FreePath, channels: Experiments, search: _Search, drif
     It has to be likelier than what a search without dead times finds that begins with its poles and its noise.
     """
     rows = [record for record in path.plain.data if isinstance(record, FreeRecord)]
-    proposed = _proposed_dead_times(rows, path.felt.shape[1], np.zeros(0, complex)) if rows else None
+    proposed = _proposed_dead_times(rows, path.felt.shape[1], np.zeros(0, complex))
     if proposed is None:
         return None
     late_path = search.path_for(channels, late=Lateness(np.zeros(path.felt.shape[0]), proposed.times))
@@ -958,8 +955,8 @@ def _with_dead_times(fit: FreeFit, anew: Anew, search: _Search, drifting: bool) 
     mimics = -p.real > _MIMICS * np.abs(p)
     if fit.rounding or not (fit.noise or mimics.any() or _leaves_traces(fit.projection)):
         return None
-    proposed = _proposed_dead_times(_of_fit(fit), len(fit.input_delay), p[~mimics])
-    if proposed is None:
+    proposed = _proposed_dead_times(_of_fit(fit), len(fit.input_delay), p[~mimics]) if not mimics.all() else None
+    if proposed is None:  # lags alone were looked at before
         return None
     late = anew(Lateness(np.zeros_like(fit.delay), proposed.times), fit.offset, None)
     return _likelier_late(_in_best_dead_times(late, search, drifting), fit)
@@ -1023,25 +1020,30 @@ class _Proposal:
 def _proposed_dead_times(rows: Sequence[FreeRecord], inputs: int, p: ComplexArray) -> _Proposal | None:
     """Times by which inputs act later, that some modes and a few lags are likelier with by far than any without.
 
-    None where there are none, or where they are a delay of the outputs.
+    A lag of second order looks like one of first order and a dead time: more lags without dead times have to be less
+    likely as well.  None where there are no such times, or where they are a delay of the outputs.
     """
     steps = [record.hold.h for record in rows]
     if inputs < 2 or np.ptp(steps) > EPS * max(steps) or is_short(rows[0]):
         return None
-    fed = np.zeros((1 + max(int(record.outputs.max()) for record in rows), inputs), bool)
-    slowest = 20.0 / min(record.length for record in rows)
-    rates = [[rate] for rate in np.geomspace(slowest, 0.5, _LAGS)] + [np.geomspace(0.3 * slowest, 0.5, 3)]
-    trials, none = [], -np.inf
-    for each in rates:
-        lags = -np.array(each, complex) / steps[0]
-        scan = _scan(rows, np.append(p, lags), fed)
-        without, late = scan.likeliest(np.zeros(inputs, int))
-        none, gain = max(none, without.loglik), late.loglik - scan.each * numbers_of(late.samples)
-        trials.append((gain - scan.each * len(lags) * inputs, gain, late, lags))
-    _, gain, late, lags = max(trials, key=lambda trial: trial[0])
-    if not distinct(late.samples) or gain - none <= TUNING.likely:
-        return None
-    return _Proposal(np.asarray(steps[0] * late.samples, float), np.asarray(lags, complex), late.noise)
+    outputs = 1 + max(int(record.outputs.max()) for record in rows)
+    fed, start = np.zeros((outputs, inputs), bool), np.zeros(inputs, int)
+    each = 0.5 * float(np.log(sum(record.samples * len(record.outputs) for record in rows)))
+    slowest = 6.0 / min(record.length for record in rows)
+    single = np.geomspace(3 * slowest, 0.5, _LAGS)[:, None]
+    several = [*(single[:-1] * [1.0, 3.0]), *(np.geomspace(slowest, 0.5, count) for count in (3, 4, 6))]
+    trials, least = [], np.inf
+    for rates in (single, several):
+        for lags in (-np.array(row, complex) / steps[0] for row in rates):
+            without, late = _scan(rows, np.append(p, lags), fed).likeliest(start)
+            cost = each * len(lags) * inputs * outputs
+            least = min(least, cost - without.loglik)
+            trials.append((cost + each * numbers_of(late.samples) - late.loglik, late, lags))
+        cost, late, lags = min(trials, key=lambda trial: trial[0])
+        if cost > least - TUNING.likely:
+            return None
+    times = np.asarray(steps[0] * late.samples)
+    return _Proposal(times, lags.astype(complex), late.noise) if distinct(late.samples) else None
 
 
 def _criterion(fit: FreeFit) -> float:
@@ -1423,12 +1425,8 @@ class FreePath:
             recordings = [channel for channel in channels if isinstance(channel, Recording)]
             search: FreeSearch = Records(_records(recordings, held, offset, moving, method, late))
             return cls(search, felt, criterion, reports, best, real_poles, noise, constant_open, white)
-        search = Responses(
-            _responses(
-                [channel for channel in channels if isinstance(channel, ResponseMatrix)], each,
-                None if late is None else late.outputs,
-            )
-        )
+        responses = [channel for channel in channels if isinstance(channel, ResponseMatrix)]
+        search = Responses(_responses(responses, each, None if late is None else late.outputs))
         _refuse_unmeasured(first, np.concatenate([rows.outputs for rows in search.data]))
         return cls(search, felt.reshape(-1, 1), criterion, reports, best, real_poles)
 
