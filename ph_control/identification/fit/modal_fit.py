@@ -213,11 +213,18 @@ def _beside_unequal_noise(alone: _Searched, searched: Callable[[Channels], _Sear
             break
         latest = again
     # what modes that are missing leave says nothing of the noise
-    if latest is alone or not is_white(latest.free.projection):
+    if latest is alone or not _leaves_white_noise(latest.free):
         return alone
     units = tuple(getattr(channel, "unit", 1.0) for channel in latest.channels)
     gain = 0.5 * (alone.free.criteria.bic - latest.free.criteria.bic - charge)
     return replace(latest, findings=(*alone.findings, Finding(Cause.UNEQUAL_NOISE, units, gain)))
+
+
+def _leaves_white_noise(free: FreeFit) -> bool:
+    """Whether the noise that a fit leaves passes the Ljung-Box test of whiteness."""
+    if free.beside is None:
+        return is_white(free.projection)
+    return ljung_box([row for errors in free.beside.errors for row in errors], TUNING.lags) >= TUNING.white
 
 
 def _beside_motion(

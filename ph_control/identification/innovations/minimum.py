@@ -137,9 +137,8 @@ class Problem:
     def vector(self, point: Point) -> Array:
         """Numbers that move."""
         noise = [point.noise.C.ravel(), point.noise.K.ravel()] if self.coloured else []
-        return np.concatenate([
-            point.noise.sections.x, *noise, point.shared[self.active], *(own.ravel() for own in point.own), *point.states
-        ])  # fmt: skip
+        own = (each.ravel() for each in point.own)
+        return np.concatenate([point.noise.sections.x, *noise, point.shared[self.active], *own, *point.states])
 
     def point(self, values: Array, like: Point) -> Point:
         """The model with these numbers."""
@@ -237,11 +236,9 @@ class Evaluation:
             for first in range(0, len(experiment.z), every):
                 bins = slice(first, first + every)
                 z, e = experiment.z[bins], errors[:, bins]
-                W = np.broadcast_to(np.eye(self.p), (len(z), self.p, self.p))
-                seen = None
-                if problem.coloured:
-                    seen = noise.outputs_of_states(z)
-                    W = np.linalg.inv(np.eye(self.p) + seen @ noise.K)
+                seen = noise.outputs_of_states(z) if problem.coloured else None
+                unit = np.broadcast_to(np.eye(self.p, dtype=complex), (len(z), self.p, self.p))
+                W = unit if seen is None else np.linalg.inv(unit + seen @ noise.K)
                 W = solve_triangular(root, W.transpose(1, 0, 2).reshape(self.p, -1), lower=True)
                 W = W.reshape(self.p, len(z), self.p).transpose(1, 0, 2)
                 J = np.zeros((len(z), self.p, width), complex)
@@ -294,7 +291,8 @@ class Evaluation:
                 column += mine.size
 
     def _fill_part(
-        self, J: ComplexArray, part: DrivenPart, mine: Array, bins: slice, W: ComplexArray, numbers: Indices, column: int
+        self, J: ComplexArray, part: DrivenPart, mine: Array, bins: slice, W: ComplexArray, numbers: Indices,
+        column: int,
     ) -> None:  # fmt: skip
         F, outputs = part.columns[:, bins].T, part.rows.outputs
         places = places_of(part.rows, len(self.point.poles))

@@ -70,7 +70,8 @@ class NoiseSections:
         cosine = np.where(q > 0, np.cos(angle), np.cosh(np.minimum(angle, 700.0)))
         sine = np.where(q > 0, np.sin(angle), np.sinh(np.minimum(angle, 700.0))) / safe
         sine = np.where(near, h * (1 - q * h**2 / 6 * (1 - q * h**2 / 20)), sine)
-        by_square = np.where(near, -(h**3) / 6 * (1 - q * h**2 / 10), (h * cosine - sine) / (2 * np.where(near, 1.0, q)))
+        far = (h * cosine - sine) / (2 * np.where(near, 1.0, q))
+        by_square = np.where(near, -(h**3) / 6 * (1 - q * h**2 / 10), far)
         return cosine, sine, -0.5 * h * sine, by_square
 
     @cached_property
@@ -87,14 +88,14 @@ class NoiseSections:
     @cached_property
     def slopes(self) -> list[tuple[int, Array]]:
         """Derivatives of `A` by the coordinates of the sections: first state and block of each."""
-        cosine, sine, cosine_by, sine_by = self._turn
+        _, sine, cosine_by, sine_by = self._turn
         growth, w, q = np.exp(-self.sections.decay * self.step), self.references, self.sections.square
         by_square = self._in_blocks(cosine_by, sine_by, q)
         by_square[:, 1, 0] -= growth * sine / w
         each = [(2 * k, -self.step * block) for k, block in enumerate(self.blocks)]
         each += [(2 * k, block) for k, block in enumerate(by_square)]
-        rates = self.sections.rates
-        return each + [(2 * self.pairs + k, np.array([[-self.step * np.exp(-r * self.step)]])) for k, r in enumerate(rates)]
+        single = -self.step * np.exp(-self.sections.rates * self.step)
+        return each + [(2 * self.pairs + k, np.array([[slope]])) for k, slope in enumerate(single)]
 
     @cached_property
     def A(self) -> Array:

@@ -263,7 +263,7 @@ def free_fit(
         values of their own to modes that explain them.
     beside : callable, optional
         Called with the first fit and the largest number of modes, 0 where it is not open, to give the fit in noise of
-        another kind; drifts and delays, which such noise may look like, are then not looked for.
+        another kind, and once more where white noise shows drifts or delays.
 
     Returns
     -------
@@ -313,10 +313,27 @@ def free_fit(
         fit = _from_peaks(fit, path, search)
     if automatic and real_poles in ("auto", 0) and not fit.interrupted:
         fit = _of_few_lines(fit, path.of_few_lines(), min(max_order, path.carried))
-    fit = fit if fit.interrupted else beside(fit, most=min(max_order, path.carried) if automatic else 0)
-    if fit.beside is not None:
-        return fit
-    return _beside_all_else(fit.with_delay_open(delay is None), search, weighted, offset == "auto")
+    in_noise = partial(beside, most=min(max_order, path.carried) if automatic else 0)
+    forced = fit if fit.interrupted else in_noise(fit)
+    alone = fit.with_delay_open(delay is None)
+    if forced.interrupted:
+        return forced
+    changed = _beside_all_else(alone, search, weighted, offset == "auto")
+    return changed if forced.beside is None else _in_likelier_rows(forced, changed, in_noise, offset == "auto")
+
+
+def _in_likelier_rows(
+    forced: FreeFit, changed: FreeFit, in_noise: Callable[[FreeFit], FreeFit], drifting: bool
+) -> FreeFit:
+    """The fit beside forces, in rows with drifts or delays if those that white noise shows explain more there too."""
+    if changed.interrupted:
+        return replace(forced, interrupted=True)
+    if changed.offset > forced.offset or np.any(changed.delay != forced.delay):
+        again = in_noise(changed)
+        share = forced.projection.rows / again.projection.rows
+        if again.criteria.bic * share < forced.criteria.bic - 2 * TUNING.sure:
+            return again
+    return _with_constants(forced) if drifting else forced
 
 
 @dataclass(frozen=True)
