@@ -3,8 +3,10 @@
     python -m benchmarks.noise forces --seeds 200        unmeasured forces of 3 and 30 %; 1 x 1, 3 x 1, 4 x 2
     python -m benchmarks.noise inputs --seeds 200        noise of 5 % on the recorded inputs
     python -m benchmarks.noise sensors --seeds 200       sensors whose noise is correlated by 0.5 and 0.9
+    python -m benchmarks.noise colour --seeds 200        AR(0.9) and AR(0.99) noise of each output, open and closed loop
     python -m benchmarks.noise white --seeds 200         none of these
-    python -m benchmarks.noise ambient --seeds 200       outputs alone
+
+`--shape` and `--case` choose among the rows.
 
 One BLAS thread.  `z2` is the mean squared error over the stated one, `cover` the share of 95 % intervals that hold, of
 frequencies, damping ratios and residues.  The bound is that of the plant's own parameters, from numerical derivatives
@@ -30,7 +32,7 @@ STEP = 1.0
 
 @dataclass(frozen=True)
 class Frame:
-    """Modes with real shapes, `y' = ...` in velocities: outputs (p, n), measured and unmeasured forces (n, m), (n, f)."""
+    """Modes with real shapes, seen as velocities: outputs (p, n), measured and unmeasured forces (n, m), (n, f)."""
 
     w: np.ndarray
     zeta: np.ndarray
@@ -56,7 +58,7 @@ class Frame:
         n = len(self.w)
         A, C = np.zeros((2 * n, 2 * n)), np.zeros((len(self.shapes), 2 * n))
         i = np.arange(n)
-        A[2 * i, 2 * i + 1], A[2 * i + 1, 2 * i], A[2 * i + 1, 2 * i + 1] = 1, -self.w**2, -2 * self.zeta * self.w
+        A[2 * i, 2 * i + 1], A[2 * i + 1, 2 * i], A[2 * i + 1, 2 * i + 1] = 1, -(self.w**2), -2 * self.zeta * self.w
         C[:, 1::2] = self.shapes
         B, F = np.zeros((2 * n, self.driven.shape[1])), np.zeros((2 * n, self.forced.shape[1]))
         B[1::2], F[1::2] = self.driven, self.forced
@@ -72,6 +74,19 @@ class Frame:
         Ad = step[:n, :n]
         Q = Ad @ both[:n, n:]
         return Ad, step[:n, n:], C, 0.5 * (Q + Q.T)
+
+    def in_closed_loop(self, r: np.ndarray, gain: float, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Inputs `u = r - gain y` of the first sensors, and outputs with noise, from rest 2000 samples before."""
+        A, B, C, _ = self.sampled
+        early, m = 2000, len(r)
+        r = np.concatenate([r[:, :early], r], axis=1)
+        noise = np.concatenate([noise[:, :early], noise], axis=1)
+        state, u, y = np.zeros(len(A)), np.empty(r.shape), np.empty(noise.shape)
+        for k in range(r.shape[1]):
+            y[:, k] = C @ state + noise[:, k]
+            u[:, k] = r[:, k] - gain * y[:m, k]
+            state = A @ state + B @ u[:, k]
+        return u[:, early:], y[:, early:]
 
     def outputs(self, u: np.ndarray, rng: np.random.Generator, size: float) -> tuple[np.ndarray, np.ndarray]:
         """Responses to held inputs (m, T), and to unmeasured forces of a density; both in steady motion."""
@@ -96,18 +111,26 @@ class Frame:
         return np.einsum("l,ol,li->loi", factor, self.shapes, self.driven)
 
 
-def spectra(frame: Frame, z: np.ndarray, size: float, sensors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Transfer (bins, p, m) of held inputs, and spectrum (bins, p, p) of the noise."""
+def spectra(
+    frame: Frame, z: np.ndarray, size: float, sensors: np.ndarray, inputs: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Transfer (bins, p, m) of held inputs, spectrum (bins, p, p) of the noise; `inputs` is the variance of theirs."""
     A, B, C, Q = frame.sampled
     values, V = np.linalg.eig(A)
     states = (C @ V)[None] / (z[:, None, None] - values)
     inner = np.linalg.solve(V, B)
     Qv = np.linalg.solve(V, np.linalg.solve(V, Q).conj().T).conj().T
-    return states @ inner, size * (states @ Qv @ states.conj().transpose(0, 2, 1)) + sensors
+    Qv = size * Qv + inputs * inner @ inner.conj().T
+    return states @ inner, states @ Qv @ states.conj().transpose(0, 2, 1) + sensors
 
 
-def bound(frame: Frame, u: np.ndarray, size: float, sensors: np.ndarray) -> np.ndarray:
-    """Cramer-Rao bound of frequencies and damping ratios (2n,): shapes, forces and variances are unknown as well."""
+def bound(
+    frame: Frame, u: np.ndarray, size: float, sensors: np.ndarray, colour: float = 0.0, inputs: float = 0.0
+) -> np.ndarray:
+    """Cramer-Rao bound of frequencies and damping ratios (2n,): shapes, forces and variances are unknown as well.
+
+    Noise of the sensors is autoregressive with the coefficient `colour`, that of held inputs has the variance `inputs`.
+    """
     n, p, T = len(frame.w), len(frame.shapes), u.shape[1]
     k = np.arange(1, (T - 1) // 2)
     z, U = np.exp(2j * np.pi * k / T), (np.fft.rfft(u)[:, k] / np.sqrt(T)).T if len(u) else np.zeros((len(k), 0))
@@ -118,18 +141,22 @@ def bound(frame: Frame, u: np.ndarray, size: float, sensors: np.ndarray) -> np.n
         now = Frame(parts[0], parts[1], parts[2].reshape(p, n), parts[3].reshape(frame.driven.shape),
                     parts[4].reshape(frame.forced.shape))  # fmt: skip
         L = np.zeros((p, p))
-        L[lower] = parts[5]
-        G, S = spectra(now, z, size, L @ L.T)
+        L[lower] = parts[5][:-2]
+        coloured = (np.abs(1 - parts[5][-2] / z) ** -2.0)[:, None, None] * (L @ L.T)
+        G, S = spectra(now, z, size, coloured, parts[5][-1])
         return np.einsum("kpm,km->kp", G, U), S
 
     root = np.linalg.cholesky(sensors)[lower]
-    theta = np.concatenate([frame.w, frame.zeta, frame.shapes.ravel(), frame.driven.ravel(), frame.forced.ravel(), root])
+    theta = np.concatenate([frame.w, frame.zeta, frame.shapes.ravel(), frame.driven.ravel(), frame.forced.ravel(),
+                            root, [colour, inputs]])  # fmt: skip
     _, S = model(theta)
     W = np.linalg.inv(np.linalg.cholesky(S))
     columns = []
     for j, value in enumerate(theta):
         e = np.zeros(len(theta))
-        e[j] = 1e-5 * max(abs(value), 1e-3)
+        e[j] = 1e-5 * abs(value) if value else 1e-8
+        if not value and j >= len(theta) - 2:
+            continue
         (up, Su), (down, Sd) = model(theta + e), model(theta - e)
         mean = np.einsum("kab,kb->ka", W, (up - down) / (2 * e[j])).ravel() * np.sqrt(2)
         spread = (W @ ((Su - Sd) / (2 * e[j])) @ W.conj().transpose(0, 2, 1)).ravel()
@@ -152,7 +179,9 @@ class Table:
         self.orders, self.structures, self.findings = Counter(), Counter(), Counter()
         self.z, self.ratio, self.times = [], [], []
 
-    def add(self, result: phc.PEMResult, frame: Frame, least: np.ndarray, seconds: float, residues: bool = True) -> None:
+    def add(
+        self, result: phc.PEMResult, frame: Frame, least: np.ndarray, seconds: float, residues: bool = True
+    ) -> None:
         """Add a fit."""
         self.orders[result.order, len(result.real_poles)] += 1
         self.structures[result.structure] += 1
@@ -187,8 +216,13 @@ class Table:
 
 
 def run(name: str, shape: tuple[int, int, int], seeds: int, T: int = 3000, *, forces: float = 0.0, inputs: float = 0.0,
-        sensors: float = 0.02, correlation: float = 0.0, first: int = 0, **options: object) -> Table:  # fmt: skip
-    """Fit records of random frames: `forces` and `inputs` are sizes (rms) over those of the outputs and inputs."""
+        sensors: float = 0.02, correlation: float = 0.0, colour: float = 0.0, loop: float = 0.0, first: int = 0,
+        **options: object) -> Table:  # fmt: skip
+    """Fit records of random frames: `forces` and `inputs` are sizes (rms) over those of the outputs and inputs.
+
+    `colour` is the coefficient of autoregressive noise of the sensors, `loop` a gain that takes outputs to inputs: half
+    of what makes a loop of one input and output unstable, or less.
+    """
     n, p, m = shape
     table = Table(name, n)
     for seed in range(first, first + seeds):
@@ -202,9 +236,14 @@ def run(name: str, shape: tuple[int, int, int], seeds: int, T: int = 3000, *, fo
             moved = np.sqrt(size) * moved
         level = sensors * np.sqrt(np.mean((y + moved).var(axis=1)))
         noise = level**2 * ((1 - correlation) * np.eye(p) + correlation)
-        y = y + moved + np.linalg.cholesky(noise) @ rng.standard_normal(y.shape)
+        e = np.linalg.cholesky(noise * (1 - colour**2)) @ rng.standard_normal((p, T + 1000))
+        e = lfilter([1.0], [1.0, -colour], e)[:, 1000:]
+        if loop:
+            u, y = frame.in_closed_loop(u, loop * np.sqrt(np.mean(u.var(axis=1)) / np.mean(y.var(axis=1))), e)
+        else:
+            y = y + moved + e
         seen = u + inputs * rng.standard_normal(u.shape)
-        least = bound(frame, u, size, noise)
+        least = bound(frame, u, size, noise * (1 - colour**2), colour, inputs**2)
         start = time.process_time()
         result = phc.pem((seen, y), dt=STEP, quantity="velocity", **options)
         table.add(result, frame, least, time.process_time() - start)
@@ -215,26 +254,36 @@ def run(name: str, shape: tuple[int, int, int], seeds: int, T: int = 3000, *, fo
 SHAPES = {"1 x 1": (2, 1, 1), "3 x 1": (3, 3, 1), "4 x 2": (4, 4, 2)}
 
 
+def cases(what: str) -> dict[str, dict[str, float]]:
+    """Rows of a table: what they are called, and the options of `run`."""
+    if what == "forces":
+        return {f"unmeasured forces of {100 * share:.0f} %": {"forces": share} for share in (0.03, 0.3)}
+    if what == "inputs":
+        return {"noise of the inputs of 5 %": {"inputs": 0.05}}
+    if what == "sensors":
+        return {f"sensors correlated by {each}": {"sensors": 0.3, "correlation": each} for each in (0.5, 0.9)}
+    if what == "colour":
+        noise = {f"AR({each}) noise of 30 %": {"sensors": 0.3, "colour": each} for each in (0.9, 0.99)}
+        return noise | {f"{name}, closed loop": {**how, "loop": 0.05} for name, how in noise.items()}
+    return {"white noise of 2 %": {}}
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["forces", "inputs", "sensors", "white"])
+    parser.add_argument("what", choices=["forces", "inputs", "sensors", "colour", "white"])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--shape", choices=SHAPES, action="append")
+    parser.add_argument("--case", type=int)
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
-    how = {"seeds": arguments.seeds, "first": arguments.first}
-    for name, shape in SHAPES.items():
-        if arguments.what == "forces":
-            for share in (0.03, 0.3):
-                run(f"{name}, unmeasured forces of {100 * share:.0f} %", shape, **how, forces=share)
-        elif arguments.what == "inputs":
-            run(f"{name}, noise of the inputs of 5 %", shape, **how, inputs=0.05)
-        elif arguments.what == "sensors" and shape[1] > 1:
-            for correlation in (0.5, 0.9):
-                run(f"{name}, sensors correlated by {correlation}", shape, **how, sensors=0.3, correlation=correlation)
-        elif arguments.what == "white":
-            run(f"{name}, white noise of 2 %", shape, **how)
+    for name in arguments.shape or SHAPES:
+        if arguments.what == "sensors" and SHAPES[name][1] == 1:
+            continue
+        for place, (case, how) in enumerate(cases(arguments.what).items()):
+            if arguments.case in (None, place):
+                run(f"{name}, {case}", SHAPES[name], arguments.seeds, first=arguments.first, **how)
 
 
 if __name__ == "__main__":

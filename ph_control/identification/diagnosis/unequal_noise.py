@@ -36,15 +36,7 @@ def noise_units(fit: FreeFit) -> tuple[Array, float]:
     units = np.ones(len(channels))
     if len(channels) == 1 or not isinstance(channels[0], Recording) or fit.rounding or fit.interrupted:
         return units, 0.0
-    size = len(channels), len(fit.scales)
-    squares, counts = np.zeros(size), np.zeros(size)
-    places = experiments_of(fit.projection.experiments, channels)
-    rows = zip(fit.projection.experiments, fit.projection.predictions(), places.tolist(), strict=True)
-    for record, predicted, place in rows:
-        assert isinstance(record, FreeRecord)
-        residuals = record.residuals(predicted)
-        squares[place, record.outputs] += channels[place].unit ** 2 * np.sum(residuals**2, axis=1)
-        counts[place, record.outputs] += record.samples
+    squares, counts = _squares(fit)
     seen, total = counts.sum(axis=1), counts.sum()
     if np.any(seen == 0) or np.any(squares.sum(axis=1) == 0):
         return units, 0.0
@@ -64,6 +56,28 @@ def noise_units(fit: FreeFit) -> tuple[Array, float]:
         if np.max(np.abs(units / before - 1)) < _SETTLED:
             break
     return units, loglik() - alike - 0.5 * (len(units) - 1) * float(np.log(total))
+
+
+def _squares(fit: FreeFit) -> tuple[Array, Array]:
+    """Squares of what a fit leaves of each experiment and output, in units of the data, and of how many samples.
+
+    Beside forces that is what the past does not foretell.
+    """
+    channels, size = fit.channels, (len(fit.channels), len(fit.scales))
+    squares, counts = np.zeros(size), np.zeros(size)
+    if fit.beside is not None:
+        for place, errors in enumerate(fit.beside.errors):
+            squares[place] = channels[place].unit ** 2 * np.sum(errors**2, axis=1)
+            counts[place] = errors.shape[1]
+        return squares, counts
+    places = experiments_of(fit.projection.experiments, channels)
+    rows = zip(fit.projection.experiments, fit.projection.predictions(), places.tolist(), strict=True)
+    for record, predicted, place in rows:
+        assert isinstance(record, FreeRecord)
+        residuals = record.residuals(predicted)
+        squares[place, record.outputs] += channels[place].unit ** 2 * np.sum(residuals**2, axis=1)
+        counts[place, record.outputs] += record.samples
+    return squares, counts
 
 
 def in_equal_noise(channels: Sequence[Any], fit: FreeFit) -> tuple[Recording, ...] | None:

@@ -202,8 +202,9 @@ def _of_modes_and_inputs(
     latest = _beside_hum(searched(channels), searched, isinstance(order, str))
     if options.noise in ("auto", "forces"):
         latest = replace(latest, free=beside_strong_forces(latest.free, order, options.max_order))
+    latest = _beside_unequal_noise(latest, searched)
     if latest.free.beside is None:
-        latest = _beside_changing_noise(_beside_unequal_noise(latest, searched), searched)
+        latest = _beside_changing_noise(latest, searched)
     search, moving = search_in(latest.channels), latest.moving
     free = replace(
         latest.free, findings=(*latest.findings, *latest.free.findings, *_about_order(latest.free, order, options))
@@ -271,7 +272,7 @@ def _beside_unequal_noise(alone: _Searched, searched: Callable[[Channels], _Sear
             break
         latest = again
     # what modes that are missing leave says nothing of the noise
-    if latest is alone or not is_white(latest.free.projection):
+    if latest is alone or not _leaves_white_noise(latest.free):
         return alone
     units = tuple(getattr(channel, "unit", 1.0) for channel in latest.channels)
     gain = 0.5 * (alone.free.criteria.bic - latest.free.criteria.bic - charge)
@@ -309,6 +310,13 @@ def _same_levels(levels: Sequence[Array | None], channels: Channels) -> bool:
         or (new is not None and old is not None and np.mean(np.abs(np.log(new / old))) < _SAME_LEVEL)
         for new, old in zip(levels, known, strict=True)
     )  # fmt: skip
+
+
+def _leaves_white_noise(free: FreeFit) -> bool:
+    """Whether the noise that a fit leaves passes the Ljung-Box test of whiteness."""
+    if free.beside is None:
+        return is_white(free.projection)
+    return ljung_box([row for errors in free.beside.errors for row in errors], TUNING.lags) >= TUNING.white
 
 
 def _beside_motion(

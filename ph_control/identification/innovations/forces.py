@@ -92,9 +92,7 @@ class FittedNoise:
         return np.asarray(self.covariance / np.outer(sizes, sizes))
 
 
-def beside_forces(
-    free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = False, most: int = 0
-) -> FreeFit:
+def beside_forces(free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = False, most: int = 0) -> FreeFit:
     """The fit in noise that outputs share, or that comes through the plant, where white noise is far less likely.
 
     Parameters
@@ -120,7 +118,8 @@ def beside_forces(
         return replace(free, interrupted=True)
     if fitted is free:
         return free
-    return fitted.with_rival(lambda rival: _beside_forces(rival, KINDS[-1:] if fitted.beside.is_coloured else KINDS[:1], True))
+    kind = KINDS[-1:] if fitted.beside.is_coloured else KINDS[:1]
+    return fitted.with_rival(lambda rival: _beside_forces(rival, kind, True))
 
 
 def beside_known_forces(free: FreeFit, noise: NoiseSections) -> FreeFit:
@@ -163,7 +162,8 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, most: int
             shared = minimise(white, start[1], steps=_STEPS)
             if certain or _is_likelier(alone, shared.evaluation.cost, outputs * (outputs - 1) // 2):
                 best = shared
-    if "forces" in kinds and (certain or _score(*start) < _SCREEN):
+    begin = start if best is None else (start[0], best.evaluation.point)
+    if "forces" in kinds and (certain or _score(*begin) < _SCREEN):
         forced = _forced(free, rows, start, most)
         if certain or _shows_forces(free, rows, forced, best):
             best = forced
@@ -212,7 +212,10 @@ def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, sh
         white, more = _alone(replace(free, noise=()), *start), more + p * (p - 1) // 2
     else:
         white = minimise(replace_colour(start[0], False), start[1], steps=_STEPS).evaluation.cost
-    return _is_likelier(white, forced.evaluation.cost, more)
+    # states that no force moves are seen by outputs in any way: the law of the gain is not that of so many numbers
+    charge = more * float(np.log(forced.evaluation.problem.samples * p))
+    gain = white - forced.evaluation.cost
+    return gain > charge and _is_likelier(white, forced.evaluation.cost, more)
 
 
 def _of_fewer_modes(best: Minimum) -> Minimum:
@@ -344,9 +347,10 @@ def experiments_of(projection: FreeProjection, channels: Sequence[Recording]) ->
     for channel in channels:
         parts = list[FreeRecord]()
         while sum(len(part.outputs) for part in parts) < len(channel.output_labels):
-            if not rows or not isinstance(rows[0], FreeRecord) or not rows[0].complete:
+            part = rows.pop(0) if rows else None
+            if not isinstance(part, FreeRecord) or not part.complete:
                 return None
-            parts.append(rows.pop(0))
+            parts.append(part)
         if len({part.length for part in parts}) > 1:
             return None
         experiments.append(Experiment.of_rows(parts))
@@ -401,6 +405,7 @@ def _score(problem: Problem, point: Point) -> float:
 
 
 def _is_likelier(before: float, after: float, more: int) -> bool:
+    """Whether so many numbers more gain what they hardly do by chance."""
     return bool(np.isfinite(after) and chdtrc(more, max(0.0, before - after)) < _LEVEL)
 
 
@@ -423,8 +428,8 @@ def _in_noise(free: FreeFit, best: Minimum, alone: float, certain: bool) -> Free
     )  # fmt: skip
     others = tuple(each for each in free.findings if each.cause not in of_noise)
     return replace(
-        free, projection=joint, unknowns=unknowns, criteria=criteria, findings=(*others, finding), measured=None, noise=(),
-        beside=noise, delay_open=False,
+        free, projection=joint, unknowns=unknowns, criteria=criteria, findings=(*others, finding), measured=None,
+        noise=(), beside=noise, delay_open=False,
     )  # fmt: skip
 
 

@@ -162,10 +162,8 @@ class Problem:
     def vector(self, point: Point) -> Array:
         """Numbers that move."""
         noise = [point.noise.C.ravel(), point.noise.K.ravel()] if self.coloured else []
-        return np.concatenate([
-            point.noise.sections.x, *noise, point.shared[self.active],
-            *(own.ravel() for own in point.own), *point.states,
-        ])  # fmt: skip
+        own = (each.ravel() for each in point.own)
+        return np.concatenate([point.noise.sections.x, *noise, point.shared[self.active], *own, *point.states])
 
     def point(self, values: Array, like: Point) -> Point:
         """The model with these numbers."""

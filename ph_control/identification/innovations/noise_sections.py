@@ -77,8 +77,8 @@ class NoiseSections:
         cosine = np.where(q > 0, np.cos(angle), np.cosh(np.minimum(angle, 700.0)))
         sine = np.where(q > 0, np.sin(angle), np.sinh(np.minimum(angle, 700.0))) / safe
         sine = np.where(near, h * (1 - q * h**2 / 6 * (1 - q * h**2 / 20)), sine)
-        by_square = (h * cosine - sine) / (2 * np.where(near, 1.0, q))
-        by_square = np.where(near, -(h**3) / 6 * (1 - q * h**2 / 10), by_square)
+        far = (h * cosine - sine) / (2 * np.where(near, 1.0, q))
+        by_square = np.where(near, -(h**3) / 6 * (1 - q * h**2 / 10), far)
         return cosine, sine, -0.5 * h * sine, by_square
 
     @cached_property
@@ -101,9 +101,8 @@ class NoiseSections:
         by_square[:, 1, 0] -= growth * sine / w
         each = [(2 * k, -self.step * block) for k, block in enumerate(self.blocks)]
         each += [(2 * k, block) for k, block in enumerate(by_square)]
-        first = 2 * self.pairs
-        rates = enumerate(self.sections.rates.tolist())
-        return each + [(first + k, np.full((1, 1), -self.step * np.exp(-rate * self.step))) for k, rate in rates]
+        single = -self.step * np.exp(-self.sections.rates * self.step)
+        return each + [(2 * self.pairs + k, np.array([[slope]])) for k, slope in enumerate(single)]
 
     @cached_property
     def A(self) -> Array:

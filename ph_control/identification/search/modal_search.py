@@ -291,8 +291,8 @@ def free_fit(
         Whether lines of a response that are far larger than those about them may be left out, where the BIC prefers
         values of their own to modes that explain them.
     beside : callable, optional
-        Called with a fit and the largest number of modes, 0 where it is not open, to give the fit in noise of another
-        kind; delays, which such noise may look like, are then not looked for.
+        Called with the first fit and the largest number of modes, 0 where it is not open, to give the fit in noise of
+        another kind, and once more where white noise shows drifts or delays.
     white : bool
         Whether the noise of each output is taken as white.
 
@@ -374,8 +374,25 @@ def free_fit(
     # what modes that are missing leave says nothing of the noise
     short = automatic and fit.order >= most
     most = min(max_order, path.carried) if automatic else 0
-    noise: Beside = (lambda fit: fit) if short else partial(beside, most=most)
-    return _beside_all_else(fit.with_delay_open(delay is None), search, weighted, offset == "auto", dead, noise)
+    in_noise: Beside = (lambda fit: fit) if short else partial(beside, most=most)
+    forced = fit if fit.interrupted else in_noise(fit)
+    alone = fit.with_delay_open(delay is None)
+    if forced.interrupted:
+        return forced
+    changed = _beside_all_else(alone, search, weighted, offset == "auto", dead)
+    return changed if forced.beside is None else _in_likelier_rows(forced, changed, in_noise, offset == "auto")
+
+
+def _in_likelier_rows(forced: FreeFit, changed: FreeFit, in_noise: Beside, drifting: bool) -> FreeFit:
+    """The fit beside forces, in rows with drifts or delays if those that white noise shows explain more there too."""
+    if changed.interrupted:
+        return replace(forced, interrupted=True)
+    if changed.offset > forced.offset or np.any(changed.delay != forced.delay):
+        again = in_noise(changed)
+        share = forced.projection.rows / again.projection.rows
+        if again.criteria.bic * share < forced.criteria.bic - 2 * TUNING.sure:
+            return again
+    return _with_constants(forced) if drifting else forced
 
 
 @dataclass(frozen=True)
@@ -397,9 +414,7 @@ class _Search:
         return path.fit(begin, self.most, self.automatic, channels, either_hold=self.held is None)
 
 
-def _beside_all_else(
-    fit: FreeFit, search: _Search, weighted: bool, drifting: bool, dead: bool, noise: Beside
-) -> FreeFit:
+def _beside_all_else(fit: FreeFit, search: _Search, weighted: bool, drifting: bool, dead: bool) -> FreeFit:
     """The fit with what its data show beside modes: noise that grows with gains of responses, or drifts and delays.
 
     Outputs may be `drifting`, and inputs may have `dead` times.
@@ -415,7 +430,7 @@ def _beside_all_else(
     try:
         if fit.per_entry:
             return _in_noise_of_the_gain(fit, search)
-        return _beside_drifts_and_delays(fit, search, drifting, dead, noise)
+        return _beside_drifts_and_delays(fit, search, drifting, dead)
     except KeyboardInterrupt:
         return replace(fit, interrupted=True)
 
@@ -799,17 +814,13 @@ Beside = Callable[[FreeFit], FreeFit]
 Anew = Callable[[Lateness, int, ComplexArray | None], FreeFit]  # search, or from poles, with delays and offsets
 
 
-def _beside_drifts_and_delays(
-    fit: FreeFit, search: _Search, drifting: bool, dead: bool, noise: Beside
-) -> FreeFit:
+def _beside_drifts_and_delays(fit: FreeFit, search: _Search, drifting: bool, dead: bool) -> FreeFit:
     """The fit beside the drifts of outputs, where these may be `drifting`, and with the delays that are open.
 
-    Inputs may have `dead` times of their own.  Noise of another kind may look like a delay.
+    Inputs may have `dead` times of their own.
     """
     anew = _searches_anew(fit, search, drifting)
-    level = noise(_beside_drift(fit, anew) if drifting else fit)
-    if level.beside is not None:
-        return level
+    level = _beside_drift(fit, anew) if drifting else fit
     late = level
     if fit.delay_open and not (dead and fit.input_delay.any()):
         late = (_with_dead_times(level, anew, search, drifting) if dead else None) or _on_time(level, anew)
