@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -173,15 +174,13 @@ def _experiments(
         # the test takes series that are independent of one another
         errors.extend(solve_triangular(root, left, lower=True))
         predicted = channel.y - left * fit.scales[:, None]
-        experiments.append(
-            FittedChannels(channel, np.zeros((poles, p), complex), fit.means[k], np.zeros(p), predicted)
-        )
+        experiments.append(FittedChannels(channel, np.zeros((poles, p), complex), fit.means[k], np.zeros(p), predicted))
     return tuple(experiments), ljung_box(errors, TUNING.lags)
 
 
 def _squeezed(experiment: FittedChannels) -> FittedExperiment:
     """The experiment of one output without dimensions for it."""
-    record = single(experiment.record)
+    record: Any = single(experiment.record)
     return FittedExperiment(
         replace(record, time=record.clock, driven=False), np.zeros(0), experiment.free_amplitudes[:, 0],
         float(experiment.offsets[0]), experiment.predicted[0],

@@ -256,11 +256,11 @@ class Evaluation:
 
     @cached_property
     def _root(self) -> Array:
-        return np.linalg.cholesky(self.covariance)
+        return np.asarray(np.linalg.cholesky(self.covariance))
 
     def _whitening(self, z: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:
         """Matrices (bins, p, p) that make errors of covariance 1 of noise, and what outputs see of the states."""
-        W = np.broadcast_to(np.eye(self.p), (len(z), self.p, self.p))
+        W: ComplexArray = np.broadcast_to(np.eye(self.p, dtype=complex), (len(z), self.p, self.p))
         seen = None
         if self.problem.coloured:
             seen = self.point.noise.outputs_of_states(z)
@@ -296,7 +296,7 @@ class Evaluation:
             for bins, counts in self._thinned(experiment):
                 z, e = experiment.z[bins], errors[:, bins]
                 W, seen = self._whitening(z)
-                through, states = W @ seen, self._states(place, z, e)
+                through, states = W @ np.asarray(seen), self._states(place, z, e)
                 J = np.zeros((len(z), p, len(slim)), complex)
                 for k, (first, block) in enumerate(noise.slopes):
                     these = slice(first, first + len(block))
