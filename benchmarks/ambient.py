@@ -27,6 +27,7 @@ from scipy.signal import lfilter
 
 import ph_control as phc
 
+HELD = 1e-9  # standard error of what is held
 RULE = 1e-10  # of the largest eigenvalue of an information matrix: what the scales of shapes leave undetermined
 
 
@@ -181,8 +182,9 @@ class Table:
         for shape, error, true in zip(shapes, stated, self.structure.shapes.T, strict=True):
             largest = int(np.argmax(np.abs(shape)))
             off = shape - true / true[largest]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                z += [np.delete(off.real / error.real, largest), np.delete(off.imag / error.imag, largest)]
+            for part, spread in ((off.real, error.real), (off.imag, error.imag)):
+                known = (spread > HELD) & (np.arange(len(true)) != largest)
+                z.append(part[known] / spread[known])
         self.shape_z.append(np.concatenate(z))
 
     def show(self) -> None:

@@ -2,8 +2,8 @@
 A tower in the wind
 ===================
 
-Nobody measures the wind. Four velocity sensors on a tower record ten minutes of its motion, and a pump below runs all the
-time. From the outputs alone, `pem` finds the modes, with standard errors, and tells the pump from the modes.
+Nobody measures the wind. Four velocity sensors on a tower record ten minutes of its motion, and a pump below runs all
+the time. From the outputs alone, `pem` finds the modes, with standard errors, and tells the pump from the modes.
 """
 
 import matplotlib.pyplot as plt

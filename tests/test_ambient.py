@@ -1,4 +1,4 @@
-"""Outputs alone, kept in motion by forces that nobody measured: modes with errors that hold, and what else they show."""
+"""Outputs alone, kept in motion by forces that nobody measured: modes with errors that hold, and what else is seen."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -100,7 +100,7 @@ def test_prediction_errors_in_bins_are_those_of_the_kalman_filter():
     evaluation = problem.at(Point(noise, np.zeros((0, 3)), (), (first - last,)))
     errors = np.fft.irfft(evaluation.errors[0], 501) * np.sqrt(501)
     np.testing.assert_allclose(errors, expected, atol=1e-9 * np.abs(expected).max())
-    sign, size = np.linalg.slogdet(expected @ expected.T / 501)
+    _, size = np.linalg.slogdet(expected @ expected.T / 501)
     np.testing.assert_allclose(evaluation.cost, 501 * (size + 3 * (1 + np.log(2 * np.pi))))
     # and those of the plant's own filter, whatever the coordinates of its states
     own, _ = filtered(y, A, C, K, np.zeros(6))

@@ -176,9 +176,7 @@ def _experiments(
         # the test takes series that are independent of one another
         errors.extend(solve_triangular(root, left, lower=True))
         predicted = channel.y - left * fit.scales[:, None]
-        experiments.append(
-            FittedChannels(channel, np.zeros((poles, p), complex), fit.means[k], np.zeros(p), predicted)
-        )
+        experiments.append(FittedChannels(channel, np.zeros((poles, p), complex), fit.means[k], np.zeros(p), predicted))
     return tuple(experiments), ljung_box(errors, TUNING.lags)
 
 

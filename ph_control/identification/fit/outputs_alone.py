@@ -87,8 +87,8 @@ def _nothing_fits(channels: Sequence[Recording], order: int | None, real_poles: 
     if order is None and real_poles is None:
         return (
             f"records of {lengths} samples are too short for a model of forces that nobody measured, or one of the "
-            f"{counted(len(channels[0].y), 'output')} is a combination of others: leave that one out, record longer, or "
-            "leave noise out"
+            f"{counted(len(channels[0].y), 'output')} is a combination of others: leave that one out, record longer, "
+            "or leave noise out"
         )
     wanted = [f"{count} {name}" for count, name in ((order, "modes"), (real_poles, "real poles")) if count is not None]
     return (

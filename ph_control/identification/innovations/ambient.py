@@ -241,7 +241,7 @@ class _Standardised:
     ) -> _Models:
         """Models of up to so many states; none beyond those that the criterion prefers, where that is to choose."""
         samples = self.problem.samples
-        R = sum(correlations(y, 2 * self.longest) for y in self.outputs) / samples
+        R = np.asarray(sum(correlations(y, 2 * self.longest) for y in self.outputs)) / samples
         thinned = [experiment.thinned(max(1, len(experiment.z) // _BINS)) for experiment in self.problem.experiments]
         coarse = Problem(thinned, self.problem.active)
         nothing = _judged(coarse, NoiseSections.without_states(len(self.scales)))
@@ -313,5 +313,3 @@ def shapes_of(noise: NoiseSections) -> ComplexArray:
     modes = np.flatnonzero(sections.square > 0)
     turn = 1j * np.sqrt(sections.square[modes]) / noise.references[modes]
     return np.asarray((noise.C[:, 2 * modes] + turn * noise.C[:, 2 * modes + 1]).T)
-
-

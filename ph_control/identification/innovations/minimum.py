@@ -13,13 +13,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from ..._checks import EPS
-from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..._types import Array, ComplexArray, Indices, Mask
 from ..regression.free import places_of
 from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
@@ -256,11 +255,11 @@ class Evaluation:
 
     @cached_property
     def _root(self) -> Array:
-        return np.asarray(np.linalg.cholesky(self.covariance), float)
+        return np.asarray(np.linalg.cholesky(self.covariance))
 
     def _whitening(self, z: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:
         """Matrices (bins, p, p) that make errors of covariance 1 of noise, and what outputs see of the states."""
-        W: NDArray[Any] = np.broadcast_to(np.eye(self.p), (len(z), self.p, self.p))
+        W: ComplexArray = np.broadcast_to(np.eye(self.p, dtype=complex), (len(z), self.p, self.p))
         seen = None
         if self.problem.coloured:
             seen = self.point.noise.outputs_of_states(z)
@@ -296,7 +295,7 @@ class Evaluation:
             for bins, counts in self._thinned(experiment):
                 z, e = experiment.z[bins], errors[:, bins]
                 W, seen = self._whitening(z)
-                through, states = W @ seen, self._states(place, z, e)
+                through, states = W @ np.asarray(seen), self._states(place, z, e)
                 J = np.zeros((len(z), p, len(slim)), complex)
                 for k, (first, block) in enumerate(noise.slopes):
                     these = slice(first, first + len(block))
