@@ -25,6 +25,7 @@ from ..diagnosis.changing_noise import changing_levels, findings_of
 from ..diagnosis.coloured_noise import beside_coloured_noise, is_white
 from ..diagnosis.fitted_directions import FittedModel, directions_of
 from ..diagnosis.hum import Tones, lines_in, tones_in, undriven
+from ..diagnosis.nonlinearity import not_linear
 from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.unequal_noise import in_equal_noise
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
@@ -240,10 +241,10 @@ def _beside_changing_noise(alone: _Searched, searched: Callable[[Channels], _Sea
         levels = changing_levels(latest.free)
         if levels is None or _same_levels(levels, latest.channels):
             break
-        again = searched(tuple(
-            channel.of_one_level if level is None else channel.adjusted(level=level)  # type: ignore[union-attr]
-            for channel, level in zip(latest.channels, levels, strict=True)
-        ))  # fmt: skip
+        recordings = zip([data for data in latest.channels if isinstance(data, Recording)], levels, strict=True)
+        again = searched(
+            tuple(data.of_one_level if level is None else data.adjusted(level=level) for data, level in recordings)
+        )
         if again.free.interrupted:
             break
         latest = again
@@ -709,7 +710,7 @@ def _judged(
     whiteness = 1.0 if rounding else _whiteness(experiments, shown if single else (), model, free.channels)
     findings = (
         *(_in_model(finding, experiments) for finding in findings), *_lateness(free, delay, delay_stderr),
-        *_rejections(tests), *_reversed(free, request), *_saturated(experiments),
+        *_rejections(tests), *_reversed(free, request), *_saturated(experiments), *not_linear(free),
     )  # fmt: skip
     if whiteness >= WHITE and not (rounding or free.interrupted):
         findings = (*findings, *_outliers(experiments, free.channels, spare))
