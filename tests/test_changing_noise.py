@@ -108,7 +108,8 @@ def test_other_circumstances_are_no_change_of_the_noise(noise):
         elif noise == "saturated":
             y = np.clip(y, -1.5 * y.std(), 1.5 * y.std())
         elif noise == "decay":
-            u, y = None, (np.exp(np.outer(POLES[0], STEP * np.arange(SAMPLES))).real + 0.02 * rng.standard_normal(SAMPLES))
+            decay = np.exp(POLES[:1, None] * STEP * np.arange(SAMPLES)).real
+            u, y = None, decay + 0.02 * rng.standard_normal(decay.shape)
         result = phc.pem((u, y), 2 if noise == "saturated" else "auto", dt=STEP, structure="free")
         assert not changes_in(result)
 

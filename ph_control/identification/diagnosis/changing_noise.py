@@ -46,9 +46,7 @@ def changing_levels(fit: FreeFit) -> tuple[Array | None, ...] | None:
         return None
     seen, rows = list[Array](), [list[tuple[FreeRecord, Array]]() for _ in channels]
     places = experiments_of(fit.projection.experiments, channels).tolist()
-    for record, predicted, place in zip(
-        fit.projection.experiments, fit.projection.predictions(), places, strict=True
-    ):
+    for record, predicted, place in zip(fit.projection.experiments, fit.projection.predictions(), places, strict=True):
         assert isinstance(record, FreeRecord)
         level = 1.0 if record.level is None else record.level
         residuals = record.residuals(predicted)

@@ -25,6 +25,7 @@ from ..diagnosis.changing_noise import changing_levels, findings_of
 from ..diagnosis.coloured_noise import beside_coloured_noise, fitted_noise
 from ..diagnosis.fitted_directions import FittedModel, directions_of
 from ..diagnosis.hum import Tones, lines_in, tones_in, undriven
+from ..diagnosis.nonlinearity import not_linear
 from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.unequal_noise import in_equal_noise
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
@@ -283,13 +284,13 @@ def _beside_changing_noise(alone: _Searched, searched: Callable[[Channels], _Sea
     """The fit where each sample counts by the level of the noise in its span, where that is likelier."""
     latest = alone
     for _ in range(_ROUNDS):
-        levels, recordings = changing_levels(latest.free), [data for data in latest.channels if isinstance(data, Recording)]
+        levels = changing_levels(latest.free)
         if levels is None or _same_levels(levels, latest.channels):
             break
-        again = searched(tuple(
-            channel.of_one_level if level is None else channel.adjusted(level=level)
-            for channel, level in zip(recordings, levels, strict=True)
-        ))  # fmt: skip
+        recordings = zip([data for data in latest.channels if isinstance(data, Recording)], levels, strict=True)
+        again = searched(
+            tuple(data.of_one_level if level is None else data.adjusted(level=level) for data, level in recordings)
+        )
         if again.free.interrupted:
             break
         latest = again
@@ -811,7 +812,7 @@ def _judged(
         whiteness = ljung_box([row for errors in free.beside.errors for row in errors], TUNING.lags)
     findings = (
         *(_in_model(finding, experiments) for finding in findings), *_lateness(free, delay, delay_stderr),
-        *_rejections(tests), *_reversed(free, request), *_saturated(experiments),
+        *_rejections(tests), *_reversed(free, request), *_saturated(experiments), *not_linear(free),
     )  # fmt: skip
     if whiteness >= WHITE and not (rounding or free.interrupted):
         findings = (*findings, *_outliers(experiments, free.channels, spare))

@@ -55,6 +55,8 @@ class Cause(Enum):
     CORRELATED_NOISE = "noise that outputs share"
     AMBIENT = "ambient excitation"
     CHANGING_NOISE = "noise that changes within a recording"
+    CHANGING_MODE = "mode that differs between the halves of the recordings"
+    MULTIPLE = "mode of a decay that is made of others by a law that is not linear"
     HAMMER_NOISE = "noise of a hammer's force between its contacts"
     LARGEST_ORDER = "as many modes as the search may find"
     FEWER_MODES = "fewer modes than the order that was given"
@@ -87,10 +89,12 @@ class Finding:
         mean, and the share of their power; of outliers their places, counted from 0; of an output that
         stays at an end of its range how many samples do, and that end or both; of the noise of a hammer's force its
         standard deviation, and the peak of the force; of noise that changes the first sample of each span, counted
-        from 0, and the noise there over its geometric mean, one after the other; of wild lines their frequencies, rad
-        per unit time; of the largest order that order; of fewer modes the order that was given, and how many reproduce
-        the data; of forces that were not measured the root mean square of what inputs do not explain over that of each
-        output; of noise that outputs share the largest correlation.
+        from 0, and the noise there over its geometric mean, one after the other; of a mode that changes its natural
+        frequency in the first halves and in the second, and its damping ratios there; of a multiple its frequency, and
+        those that it is the sum of; of wild lines their frequencies, rad per unit time; of the largest order that
+        order; of fewer modes the order that was given, and how many reproduce the data; of forces that were not
+        measured the root mean square of what inputs do not explain over that of each output; of noise that outputs
+        share the largest correlation.
     gain : float
         How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers and ends of the range.
     output : str
@@ -335,6 +339,25 @@ def _of_changing_noise(finding: Finding, terms: _Terms) -> str:
     )
 
 
+def _of_changing_mode(finding: Finding, terms: _Terms) -> str:
+    first, second, damping, then = finding.values
+    return (
+        f"A mode has {terms.frequency(first):.6g} {terms.frequency_unit} and {100 * damping:.3g} % damping in the "
+        f"first half of the recording, {terms.frequency(second):.6g} and {100 * then:.3g} % in the second "
+        f"({_gain(finding)}): it depends on the amplitude, or the plant changed. Errors are those of one plant; fit the parts by fit_many, "
+        "or repeat the test with less force."
+    )
+
+
+def _of_multiple(finding: Finding, terms: _Terms) -> str:
+    own, *parts = finding.values
+    made = " ".join(f"{'-' if part < 0 else '+'} {terms.frequency(abs(part)):.6g}" for part in parts).removeprefix("+ ")
+    return (
+        f"The mode at {terms.frequency(own):.6g} {terms.frequency_unit} has the frequency and the decay of {made}: "
+        "distortion of a spring or a sensor that is not linear, and no mode. Repeat the decay from a smaller amplitude."
+    )
+
+
 def _of_hammer_noise(finding: Finding, terms: _Terms) -> str:
     noise, peak = finding.values
     return (
@@ -396,6 +419,7 @@ _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
     Cause.HUM: _of_hum, Cause.UNEQUAL_NOISE: _of_unequal_noise, Cause.FORCES: _of_forces,
     Cause.CORRELATED_NOISE: _of_correlated_noise, Cause.AMBIENT: _of_ambient,
     Cause.CHANGING_NOISE: _of_changing_noise,
+    Cause.CHANGING_MODE: _of_changing_mode, Cause.MULTIPLE: _of_multiple,
     Cause.HAMMER_NOISE: _of_hammer_noise, Cause.SATURATION: _of_saturation, Cause.WILD_LINES: _of_wild_lines,
     Cause.LARGEST_ORDER: _of_largest_order, Cause.FEWER_MODES: _of_fewer_modes, Cause.OUTLIERS: _of_outliers,
     Cause.INPUT_NOISE: _of_input_noise, **dict.fromkeys(REJECTED.values(), _of_rejection),
