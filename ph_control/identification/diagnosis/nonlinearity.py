@@ -32,6 +32,8 @@ def not_linear(fit: FreeFit) -> list[Finding]:
     """Modes that differ between the halves of recordings, and multiples of modes in free motions."""
     channels, projection = fit.channels, fit.projection
     unfit = fit.interrupted or fit.rounding or not fit.order or is_long(channels) or fit.delay.any()
+    # what forces do in one half and not in the other is no sign of it
+    unfit = unfit or fit.beside is not None
     if unfit or not all(isinstance(channel, Recording) for channel in channels):
         return []
     rows = [record for record in projection.experiments if isinstance(record, FreeRecord)]
