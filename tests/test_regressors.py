@@ -14,6 +14,7 @@ from ph_control.identification.regression.free import FreeProjection, GivenResid
 from ph_control.identification.regression.frequency_rows import FreeResponse
 from ph_control.identification.regression.spectral_rows import ChannelSpectra, FreeWindow
 from ph_control.identification.regression.time_rows import FreeRecord, Modal, RecordColumns, Shared, gram
+from ph_control.identification.search.free_search import Channels
 from ph_control.identification.structure.layout import POWERS
 from ph_control.modal.discretization import Hold
 
@@ -374,3 +375,31 @@ def test_responses_with_a_delay_turn_with_the_frequency(quantity):
     ((_, left, _, _),) = here.sensitivities()
     numerical = (loss(delay + e).loss - loss(delay - e).loss) / (2 * e)
     np.testing.assert_allclose(-2 * left @ here.delay_slopes(0), numerical, rtol=1e-5)
+
+
+def test_windows_with_less_than_a_mode_has_to_explain_are_left_out_and_no_other():
+    rng = np.random.default_rng(0)
+    t = np.arange(3000.0)
+    y = np.exp(-0.002 * t) * np.cos(0.7 * t) + 0.3 * np.cos(1.9 * t) + 0.2 * rng.standard_normal(3000)
+    rows = FreeRecord(rng.standard_normal((1, 3000)), y[None], np.ones(3000, bool), Hold(1.0))
+    spectrum = ChannelSpectra.of(rows)
+    places, residuals = Channels.of(spectrum), np.fft.rfft(y)[None]
+    (every, gains), (some, larger) = (places.modes(residuals, least) for least in (0.0, 20.0))
+    assert 0 < len(some) < 0.5 * len(every)
+    expected = gains >= 20.0
+    kept = larger >= 20.0
+    np.testing.assert_allclose(some[kept], every[expected])
+    np.testing.assert_allclose(larger[kept], gains[expected])
+
+
+@pytest.mark.parametrize("intersample, late", [("zoh", 0.0), ("foh", 0.0), ("foh", 0.4)])
+def test_lags_span_what_a_real_pole_adds_to_the_columns_of_a_window(intersample, late):
+    rng = np.random.default_rng(1)
+    u, y = rng.standard_normal((2, 400)), rng.standard_normal((1, 400))
+    rows = FreeRecord(u, y, np.ones(400, bool), Hold(0.5, intersample=intersample)).delayed(0.5 * late)
+    window, rates = FreeWindow.spread(ChannelSpectra.of(rows)), np.array([0.01, 0.3, 2.0])
+    for lag, rate in zip(window.lags(rates), rates, strict=True):
+        columns = next(window.at(np.array([-rate + 0j])).blocks())
+        expected = columns[[0, 2, 5]]  # real parts of the motion and of each input, whose other columns follow
+        weights = np.linalg.lstsq(lag.T, expected.T, rcond=None)[0]
+        np.testing.assert_allclose(weights.T @ lag, expected, atol=1e-10 * np.abs(expected).max())
