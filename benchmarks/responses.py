@@ -1,6 +1,6 @@
-"""Monte Carlo of fits to frequency responses: order, coverage, narrow minima, outliers, and the test for damping.
+"""Monte Carlo of fits to frequency responses: order, coverage, narrow minima, outliers, damping, and windows.
 
-python -m benchmarks.responses order|coverage|trap|outlier|damping [--seeds N]
+python -m benchmarks.responses order|coverage|trap|outlier|damping|window [--seeds N]
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import get_window
 
 import ph_control as phc
 
@@ -172,7 +173,93 @@ def damping(seeds: int) -> None:
             )
 
 
-STUDIES = {"order": order, "coverage": coverage, "trap": trap, "outlier": outlier, "damping": damping}
+# --- estimates with a window -----------------------------------------------------------------------------------------
+
+# quantity, outputs, inputs, samples in a block, blocks, ends of the damping ratios, noise over the output
+WINDOWED = (
+    ("velocity", 1, 1, 512, 20, (0.004, 0.02), 0.1), ("velocity", 1, 1, 512, 20, (0.002, 0.006), 0.1),
+    ("displacement", 1, 1, 512, 20, (0.004, 0.02), 0.1), ("acceleration", 1, 1, 512, 20, (0.004, 0.02), 0.1),
+    ("velocity", 1, 1, 256, 40, (0.004, 0.02), 0.1), ("velocity", 1, 1, 512, 20, (0.004, 0.02), 0.3),
+    ("velocity", 2, 1, 512, 20, (0.004, 0.02), 0.1), ("velocity", 2, 2, 512, 20, (0.004, 0.02), 0.1),
+)  # fmt: skip
+STEP = 0.5
+
+
+def structure(
+    outputs: int, inputs: int, quantity: str, ends: tuple[float, float], seed: int
+) -> tuple[Array, Array, Any]:
+    """Frequencies, damping ratios and matrices of three modes with classical damping; output k is at input k."""
+    rng = np.random.default_rng([seed, 99])
+    w = np.sort(rng.uniform(0.4, 2.6, (1000, 3)), axis=1)
+    w = w[np.min(np.diff(w, axis=1), axis=1) >= 0.33][0]
+    zeta = np.exp(rng.uniform(*np.log(ends), 3))
+    count = max(outputs, inputs)
+    phi = rng.uniform(0.5, 1, (3, count)) * rng.choice([-1, 1], (3, count))
+    A = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.diag(w**2), -np.diag(2 * zeta * w)]])
+    B = np.concatenate([np.zeros((3, inputs)), phi[:, :inputs]])
+    C = {
+        "displacement": np.eye(6)[:3], "velocity": np.eye(6)[3:], "acceleration": A[3:],
+    }[quantity]  # fmt: skip
+    D = phi[:, :outputs].T @ phi[:, :inputs] * (quantity == "acceleration")
+    return w, zeta, (A, B, phi[:, :outputs].T @ C, D)
+
+
+def averaged(system: Any, length: int, blocks: int, size: float, seed: int) -> Any:
+    """H1 estimate over the response of the hold, of a plant in motion under a held random force."""
+    A, B, C, D = system
+    rng = np.random.default_rng([seed, 5])
+    T, m = length * blocks, B.shape[1]
+    u = rng.standard_normal((m, T + 4000))
+    plant = ct.c2d(ct.ss(A, B, C, D), STEP)
+    y = np.atleast_2d(ct.forced_response(plant, inputs=u, squeeze=False).outputs)[:, 4000:]
+    u = u[:, 4000:]
+    y = y + size * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    window, starts = get_window("hann", length), range(0, T - length + 1, length // 2)
+    U, Y = (np.array([np.fft.rfft(window * x[:, k : k + length]) for k in starts]) for x in (u, y))
+    cross, power = (np.einsum("bok,bik->koi", x, U.conj()) for x in (Y, U))
+    lines = np.arange(2, length // 2)
+    H = np.moveaxis(np.linalg.solve(np.swapaxes(power, 1, 2), np.swapaxes(cross, 1, 2)).swapaxes(1, 2), 0, -1)
+    omega = 2 * np.pi * lines / (length * STEP)
+    hold = np.sinc(omega * STEP / (2 * np.pi)) * np.exp(-0.5j * omega * STEP)
+    return ct.frd(H[..., lines] / hold, omega, smooth=False)
+
+
+def percent(shares: list[Array]) -> Array:
+    """Means over seeds, in per cent."""
+    return np.round(100 * np.mean(shares, axis=0), 1)
+
+
+def window(seeds: int) -> None:
+    """Order, bias and coverage of fits to estimates with a Hann window, and how often a true structure is refused."""
+    for quantity, outputs, inputs, length, blocks, ends, size in WINDOWED:
+        w, zeta, system = structure(outputs, inputs, quantity, ends, 1)
+        right, refused = 0, 0
+        scores: dict[str, list[Array]] = {"natural_frequencies": [], "damping_ratios": []}
+        errors, spread = [], []
+        for seed in range(seeds):
+            data = averaged(system, length, blocks, size, seed)
+            result = phc.pem(data, window=("hann", length), intersample="zoh", quantity=quantity)
+            if result.states != 6 or result.order != 3:
+                continue
+            right += 1
+            refused += next((test.p < 0.05 for test in result.tests if test.hypothesis == "classical"), False)
+            for key, true in (("natural_frequencies", w), ("damping_ratios", zeta)):
+                scores[key].append((getattr(result, key) - true) / result.stderr[key])
+            errors.append(result.damping_ratios / zeta - 1)
+            spread.append(result.stderr["damping_ratios"] / zeta)
+        inside = ", ".join(f"{key} {100 * np.mean(np.abs(z) < 1.96):.1f} %" for key, z in scores.items())
+        in_band = np.round(zeta * w * length * STEP / np.pi, 1)
+        print(
+            f"{quantity} {outputs} x {inputs}, {blocks} blocks of {length}, noise {size:g}, {in_band} lines at -3 dB: "
+            f"order right {right} of {seeds}, inside {inside}; bias of damping {percent(errors)} % "
+            f"beside standard errors of {percent(spread)} %; classical refused {100 * refused / max(1, right):.1f} %",
+            flush=True,
+        )
+
+
+STUDIES = {
+    "order": order, "coverage": coverage, "trap": trap, "outlier": outlier, "damping": damping, "window": window,
+}  # fmt: skip
 
 
 def main() -> None:

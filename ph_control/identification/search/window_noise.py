@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 
 _CURVED = 0.1  # of the second differences of a response: errors of its peaks before they are known
 _RIDGE = 1e-12  # of unit columns that may be alike
-_RATIOS = np.geomspace(1e-4, 1e4, 13)  # of noise to motion, in the median of the lines
+_LEAST = 1e-12  # of the largest motion: what of it is rounding
+_ALL = 0.01  # noise beside motion, or motion beside noise, that does not count
 
 
 def _noise_alone(window: SpectralWindow, omega: Array) -> ComplexArray:
@@ -107,19 +108,22 @@ def _likeliest_noise(
     projection: FreeProjection, seen: Sequence[tuple[int, FreeResponse]], law: WindowErrors, output: int
 ) -> float:
     """Variance of noise over that of an input with which the residuals of an output are likeliest."""
-    motion = float(np.median(law.motion[output, output, 0].real)) / float(np.median(law.noise[0].real))
-    if motion <= 0 or not seen:
+    ratios = law.motion[output, output, 0].real / law.noise[0].real
+    largest = float(ratios.max(initial=0.0))
+    if largest <= 0 or not seen:
         return 1.0
     entries = [_Entry.of(projection, k, rows, law.inputs) for k, rows in seen]
 
-    def unlikely(log_ratio: float) -> float:
-        return sum(entry.unlikely(law, motion * float(np.exp(log_ratio))) for entry in entries)
+    def unlikely(log_noise: float) -> float:
+        return sum(entry.unlikely(law, float(np.exp(log_noise))) for entry in entries)
 
-    tried = np.log(_RATIOS)
-    best = int(np.argmin([unlikely(ratio) for ratio in tried]))
+    # from where motion is all at all lines to where noise is
+    low, high = np.log([max(float(ratios.min()), _LEAST * largest) * _ALL, largest / _ALL]).tolist()
+    tried = np.linspace(low, high, 2 + int((high - low) / np.log(10)))
+    best = int(np.argmin([unlikely(noise) for noise in tried]))
     bounds = tried[max(0, best - 1)], tried[min(len(tried) - 1, best + 1)]
     end = minimize_scalar(unlikely, bounds=bounds, method="bounded", options={"xatol": 0.02})
-    return motion * float(np.exp(end.x))
+    return float(np.exp(end.x))
 
 
 @dataclass(frozen=True)
