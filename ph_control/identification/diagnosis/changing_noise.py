@@ -205,7 +205,7 @@ def findings_of(channels: Sequence[Any], gain: float) -> list[Finding]:
     """
     findings = []
     for e, channel in enumerate(channels):
-        if channel.level is None:
+        if not isinstance(channel, Recording) or channel.level is None:
             continue
         together = len(channel.level) > 1 and np.ptp(channel.level, axis=0).max() == 0
         labels = ("",) if together else channel.output_labels

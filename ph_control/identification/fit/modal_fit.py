@@ -294,11 +294,12 @@ def _beside_changing_noise(alone: _Searched, searched: Callable[[Channels], _Sea
         if again.free.interrupted:
             break
         latest = again
+    if latest is alone:
+        return alone
     findings = findings_of(latest.channels, 0.0)
     charge = sum(len(finding.values) - 2 for finding in findings) * float(np.log(alone.free.projection.rows))
     gain = 0.5 * (alone.free.criteria.bic - latest.free.criteria.bic - charge)
-    # what modes that are missing leave says nothing of the noise
-    if latest is alone or gain <= TUNING.sure:
+    if gain <= TUNING.sure:
         return alone
     return replace(latest, findings=(*alone.findings, *findings_of(latest.channels, gain)))
 
