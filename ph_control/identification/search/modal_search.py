@@ -291,7 +291,7 @@ def free_fit(
     ) -> FreePath:
         return FreePath.of(
             channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles, method=method,
-            constant_open=offset == "auto" and terms == 1, delay=late,
+            constant_open=offset == "auto" and terms == 1, delay=late, largest=max_order if automatic else None,
         )  # fmt: skip
 
     if doubted and isinstance(channels[0], ResponseMatrix):
@@ -632,7 +632,7 @@ def _of_long(
     fit = free_fit(parts, order, intersample=intersample, offset=offset, **how, **options)
     if fit.interrupted:
         return fit
-    how["noise"] = fit.noise
+    how |= {"noise": fit.noise, "largest": None if isinstance(order, int) else options["max_order"]}
     best, path = FreeModel(fit.projection, [], fit.projection.losses * fit.scales**2), None
     while path is None or any(
         span.stop - span.start < channel.samples for span, channel in zip(part, channels, strict=True)
@@ -1018,9 +1018,10 @@ class FreePath:
     def __init__(
         self, search: FreeSearch, felt: Mask, criterion: str = "bic", reports: Reports = lambda order: None,
         best: FreeModel | None = None, real_poles: int | str = "auto", noise: tuple[Array, ...] = (),
-        constant_open: bool = False,
+        constant_open: bool = False, largest: int | None = None,
     ) -> None:  # fmt: skip
         self.constant_open = constant_open  # whether outputs need not have a constant
+        self.largest = largest  # number of modes that pairs of real poles must not turn into more than
         self.real_poles, self.plain = real_poles, search.with_kinds(real_poles == "auto")
         self.felt, self.criterion, self.reports = felt, criterion, reports
         self.table: dict[int, FreeOrder] = {}
@@ -1045,7 +1046,7 @@ class FreePath:
         cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: int, moving: bool,
         criterion: str = "bic", reports: Reports = lambda order: None, best: FreeModel | None = None,
         real_poles: int | str = "auto", method: str = "exact", constant_open: bool = False, delay: Array | None = None,
-        noise: tuple[Array, ...] = (),
+        noise: tuple[Array, ...] = (), largest: int | None = None,
     ) -> FreePath:  # fmt: skip
         """The search in channels, or what ends one whose best model is known."""
         first = channels[0]
@@ -1057,12 +1058,12 @@ class FreePath:
             held = "zoh" if intersample == "auto" else intersample
             recordings = [channel for channel in channels if isinstance(channel, Recording)]
             search: FreeSearch = Records(_records(recordings, held, offset, moving, method, delay))
-            return cls(search, felt, criterion, reports, best, real_poles, noise, constant_open)
+            return cls(search, felt, criterion, reports, best, real_poles, noise, constant_open, largest)
         search = Responses(
             _responses([channel for channel in channels if isinstance(channel, ResponseMatrix)], each, delay)
         )
         _refuse_unmeasured(first, np.concatenate([rows.outputs for rows in search.data]))
-        return cls(search, felt.reshape(-1, 1), criterion, reports, best, real_poles)
+        return cls(search, felt.reshape(-1, 1), criterion, reports, best, real_poles, largest=largest)
 
     @property
     def delay(self) -> Array:
@@ -1217,9 +1218,15 @@ class FreePath:
 
     # --- models
 
+    def region(self, p: ComplexArray) -> PoleRegion:
+        """Where poles may go from a start: pairs of real ones become no modes that would be more than the largest."""
+        region = self.scaled.region
+        most = _modes(p) + _real(p) // 2
+        return region if self.largest is None or most <= self.largest else replace(region, kinds_may_change=False)
+
     def model(self, p: ComplexArray, rtol: float = _ROUGH) -> FreeModel:
         """Modes refined from a start, over the bins about them; outputs are weighted by what is left then."""
-        rows, region, report = self.scaled.rows, self.scaled.region, self.report(max(1, _modes(p)))
+        rows, region, report = self.scaled.rows, self.region(p), self.report(max(1, _modes(p)))
         try:
             projection = refine_free(rows, p, region, rtol, last=False, steps=_STEPS, progress=report)
         except Interrupted as cut:
@@ -1674,7 +1681,9 @@ class FreePath:
         """A fit refined with the inputs held otherwise."""
         kept = replace(model, projection=fit.projection)
         other = plain.held("foh" if fit.intersample == "zoh" else "zoh")
-        path = FreePath(other, self.felt, self.criterion, self.reports, kept, self.real_poles, fit.noise)
+        path = FreePath(
+            other, self.felt, self.criterion, self.reports, kept, self.real_poles, fit.noise, largest=self.largest
+        )
         return replace(path.finished(kept, channels, automatic), order_table=fit.order_table)
 
     def finished(
@@ -1706,7 +1715,7 @@ class FreePath:
         rounding = bool(np.any(losses <= self.floors))
         measured = FreeProjection(self.plain.scaled(self.sizes).data, projection.p, fed) if model.innovations else None
         return FreeFit(
-            projection, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding,
+            projection, tuple(channels), 1.0 / self.sizes, table, self.region(projection.p), unknowns, criteria, rounding,
             interrupted, measured=measured, noise=model.innovations, delay=self.delay,
             crowded=self.crowded,
         )  # fmt: skip
@@ -1746,7 +1755,7 @@ class FreePath:
         search = self.search
         for term in FURTHER_TERMS:
             search = search.with_term(term)
-        path = FreePath(search, self.felt, self.criterion, self.reports, None, self.real_poles)
+        path = FreePath(search, self.felt, self.criterion, self.reports, None, self.real_poles, largest=self.largest)
         path.weigh(self.best.losses)
         model = path.model(modes, TUNING.rough)
         projection, _ = path.on_simplest_background(model.projection, model.losses, None, True)
@@ -1815,7 +1824,7 @@ class FreePath:
 
     def refined(self, p: ComplexArray, rtol: float, fed: Mask | None) -> FreeProjection:
         """Modes refined over all data."""
-        data, region = self.scaled.data, self.scaled.region
+        data, region = self.scaled.data, self.region(p)
         return refine_free(lambda _: data, p, region, rtol, fed, progress=self.report(max(1, _modes(p))))
 
     def stands_out(self, projection: FreeProjection) -> Mask:
