@@ -237,3 +237,14 @@ def test_a_pair_without_a_peak_may_be_two_real_poles_under_a_structure():
     y = ct.forced_response(ct.c2d(ct.ss(plant), 0.1), t, u).outputs
     result = phc.pem((u, y + 0.03 * y.std() * rng.standard_normal(2000)), 2, dt=0.1, real_poles=0)
     assert result.fit_percent > 95
+
+
+@pytest.mark.parametrize("seed", [6, 10])
+def test_a_pair_of_real_poles_does_not_become_more_modes_than_the_largest_order(seed):
+    rng = np.random.default_rng(seed)
+    rng.uniform()
+    plant = ct.tf([1.0], [1.0, 1.8, 0.81]) + ct.tf([0.4], [1.0, 0.12, 9.0])  # critically damped, beside a mode
+    u = rng.standard_normal(600)
+    y = ct.forced_response(ct.c2d(ct.ss(plant), 0.1), 0.1 * np.arange(600), u).outputs
+    result = phc.pem((u, y + 0.1 * y.std() * rng.standard_normal(600)), dt=0.1, max_order=1)
+    assert result.order == 1 and result.outcome.name == "CONSISTENT"

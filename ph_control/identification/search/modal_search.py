@@ -346,6 +346,7 @@ def free_fit(
         return FreePath.of(
             channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles, method=method,
             constant_open=offset == "auto" and terms == 1, late=late, white=white,
+            largest=max_order if automatic else None,
         )  # fmt: skip
 
     windowed = [data for data in channels if isinstance(data, ResponseMatrix) and data.window is not None]
@@ -754,7 +755,7 @@ def _of_long(
     fit = free_fit(parts, order, intersample=intersample, offset=offset, **how, **options)
     if fit.interrupted:
         return fit
-    how["noise"] = fit.noise
+    how |= {"noise": fit.noise, "largest": None if isinstance(order, int) else options["max_order"]}
     best, path = FreeModel(fit.projection, [], fit.projection.losses * fit.scales**2), None
     while path is None or any(
         span.stop - span.start < channel.samples for span, channel in zip(part, channels, strict=True)
@@ -1395,10 +1396,11 @@ class FreePath:
     def __init__(
         self, search: FreeSearch, felt: Mask, criterion: str = "bic", reports: Reports = lambda order: None,
         best: FreeModel | None = None, real_poles: int | str = "auto", noise: tuple[Array, ...] = (),
-        constant_open: bool = False, white: bool = False,
+        constant_open: bool = False, white: bool = False, largest: int | None = None,
     ) -> None:  # fmt: skip
         self.constant_open = constant_open  # whether outputs need not have a constant
         self.white = white  # whether noise is taken as white
+        self.largest = largest  # number of modes that pairs of real poles must not turn into more than
         self.real_poles, self.plain = real_poles, search.with_kinds(real_poles == "auto")
         self.felt, self.criterion, self.reports = felt, criterion, reports
         self.table: dict[int, FreeOrder] = {}
@@ -1423,7 +1425,7 @@ class FreePath:
         cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: int, moving: bool,
         criterion: str = "bic", reports: Reports = lambda order: None, best: FreeModel | None = None,
         real_poles: int | str = "auto", method: str = "exact", constant_open: bool = False,
-        late: Lateness | None = None, noise: tuple[Array, ...] = (), white: bool = False,
+        late: Lateness | None = None, noise: tuple[Array, ...] = (), white: bool = False, largest: int | None = None,
     ) -> FreePath:  # fmt: skip
         """The search in channels, or what ends one whose best model is known."""
         first = channels[0]
@@ -1435,11 +1437,11 @@ class FreePath:
             held = "zoh" if intersample == "auto" else intersample
             recordings = [channel for channel in channels if isinstance(channel, Recording)]
             search: FreeSearch = Records(_records(recordings, held, offset, moving, method, late))
-            return cls(search, felt, criterion, reports, best, real_poles, noise, constant_open, white)
+            return cls(search, felt, criterion, reports, best, real_poles, noise, constant_open, white, largest)
         responses = [channel for channel in channels if isinstance(channel, ResponseMatrix)]
         search = Responses(_responses(responses, each, None if late is None else late.outputs))
         _refuse_unmeasured(first, np.concatenate([rows.outputs for rows in search.data]))
-        return cls(search, felt.reshape(-1, 1), criterion, reports, best, real_poles)
+        return cls(search, felt.reshape(-1, 1), criterion, reports, best, real_poles, largest=largest)
 
     @property
     def delay(self) -> Array:
@@ -1605,9 +1607,15 @@ class FreePath:
 
     # --- models
 
+    def region(self, p: ComplexArray) -> PoleRegion:
+        """Where poles may go from a start: pairs of real ones become no modes that would be more than the largest."""
+        region = self.scaled.region
+        most = _modes(p) + _real(p) // 2
+        return region if self.largest is None or most <= self.largest else replace(region, kinds_may_change=False)
+
     def model(self, p: ComplexArray, rtol: float = _ROUGH) -> FreeModel:
         """Modes refined from a start, over the bins about them; outputs are weighted by what is left then."""
-        rows, region, report = self.scaled.rows, self.scaled.region, self.report(max(1, _modes(p)))
+        rows, region, report = self.scaled.rows, self.region(p), self.report(max(1, _modes(p)))
         try:
             projection = refine_free(rows, p, region, rtol, last=False, steps=_STEPS, progress=report)
         except Interrupted as cut:
@@ -2084,7 +2092,9 @@ class FreePath:
         """A fit refined with the inputs held otherwise."""
         kept = replace(model, projection=fit.projection)
         other = plain.held("foh" if fit.intersample == "zoh" else "zoh")
-        path = FreePath(other, self.felt, self.criterion, self.reports, kept, self.real_poles, fit.noise)
+        path = FreePath(
+            other, self.felt, self.criterion, self.reports, kept, self.real_poles, fit.noise, largest=self.largest
+        )
         return replace(path.finished(kept, channels, automatic), order_table=fit.order_table)
 
     def finished(
@@ -2120,7 +2130,7 @@ class FreePath:
         rounding = bool(np.any(losses <= self.floors))
         measured = FreeProjection(self.plain.scaled(self.sizes).data, projection.p, fed) if model.innovations else None
         return FreeFit(
-            projection, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding,
+            projection, tuple(channels), 1.0 / self.sizes, table, self.region(projection.p), unknowns, criteria, rounding,
             interrupted, measured=measured, noise=model.innovations, delay=self.delay, input_delay=self.input_delay,
             crowded=self.crowded,
         )  # fmt: skip
@@ -2160,7 +2170,7 @@ class FreePath:
         search = self.search
         for term in FURTHER_TERMS:
             search = search.with_term(term)
-        path = FreePath(search, self.felt, self.criterion, self.reports, None, self.real_poles)
+        path = FreePath(search, self.felt, self.criterion, self.reports, None, self.real_poles, largest=self.largest)
         path.weigh(self.best.losses)
         model = path.model(modes, TUNING.rough)
         projection, _ = path.on_simplest_background(model.projection, model.losses, None, None)
@@ -2235,7 +2245,7 @@ class FreePath:
         self, p: ComplexArray, rtol: float, fed: Mask | None, known: FreeProjection | None = None
     ) -> FreeProjection:
         """Modes refined over all data, of which something may be `known` at some poles."""
-        data, region, report = self.scaled.data, self.scaled.region, self.report(max(1, _modes(p)))
+        data, region, report = self.scaled.data, self.region(p), self.report(max(1, _modes(p)))
         last = rtol <= _EXACT
         return refine_free(lambda _: data, p, region, rtol, fed, last=last, progress=report, known=known)
 
