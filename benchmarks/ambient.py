@@ -241,15 +241,15 @@ def peers() -> dict[str, Peer]:
         return of
 
     def plscf(structure: Structure, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        algorithm = pLSCF(name="peer", ordmax=20, nxseg=1024)
-        return told(algorithm, structure, y, "find_min", "order")
+        algorithm = pLSCF(name="peer", ordmax=14, nxseg=512)
+        return told(algorithm, structure, y, 14, "order")
 
     return {
         "pyOMA2 SSI-cov, 15 rows, true order": ssi(15, lambda n: 2 * n),
         "pyOMA2 SSI-cov, 30 rows, true order": ssi(30, lambda n: 2 * n),
         "pyOMA2 SSI-cov, 30 rows, order 4 more": ssi(30, lambda n: 2 * n + 4),
         "pyOMA2 SSI-cov, 30 rows, stable poles": ssi(30, lambda n: "find_min"),
-        "pyOMA2 pLSCF, stable poles": plscf,
+        "pyOMA2 pLSCF, 512 points, order 14": plscf,
     }
 
 

@@ -40,8 +40,8 @@ def are_alone(channels: Channels, structure: str, options: Options) -> bool:
     steps = {data.dt for data in channels if isinstance(data, Recording)}
     if options.noise == "forces" and not alone and not any(getattr(data, "driven", True) for data in channels):
         raise StructureError(
-            "noise='forces' of outputs alone needs recordings without missing samples: cut them where samples are "
-            "missing"
+            "noise='forces' of outputs alone needs the same outputs in all recordings, without missing samples: cut "
+            "recordings where samples are missing, and fit set-ups of different sensors one by one"
         )
     lossless = structure == "lossless" or options.method != "exact"
     return alone and len(steps) == 1 and options.noise in ("auto", "forces") and not lossless

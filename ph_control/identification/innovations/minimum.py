@@ -263,7 +263,7 @@ class Evaluation:
         seen = None
         if self.problem.coloured:
             seen = self.point.noise.outputs_of_states(z)
-            W = np.linalg.inv(np.eye(self.p) + seen @ self.point.noise.K)
+            W = np.asarray(np.linalg.inv(np.eye(self.p) + seen @ self.point.noise.K), complex)
         W = solve_triangular(self._root, W.transpose(1, 0, 2).reshape(self.p, -1), lower=True)
         return W.reshape(self.p, len(z), self.p).transpose(1, 0, 2), seen
 
