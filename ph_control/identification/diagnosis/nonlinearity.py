@@ -31,10 +31,9 @@ _ASIDE = 0.02  # relative error of the decay rate of a multiple, beyond which ma
 def not_linear(fit: FreeFit) -> list[Finding]:
     """Modes that differ between the halves of recordings, and multiples of modes in free motions."""
     channels, projection = fit.channels, fit.projection
-    unfit = fit.interrupted or fit.rounding or not fit.order or is_long(channels) or fit.delay.any()
     # what forces do in one half and not in the other is no sign of it
-    unfit = unfit or fit.beside is not None
-    if unfit or not all(isinstance(channel, Recording) for channel in channels):
+    unfit = fit.interrupted or fit.rounding or not fit.order or is_long(channels) or fit.beside is not None
+    if unfit or fit.delay.any() or not all(isinstance(channel, Recording) for channel in channels):
         return []
     rows = [record for record in projection.experiments if isinstance(record, FreeRecord)]
     multiples = [] if projection.inputs else _multiples(fit)
@@ -43,15 +42,21 @@ def not_linear(fit: FreeFit) -> list[Finding]:
     return multiples or _halves(fit, rows)
 
 
+def _refined_in(half: Sequence[FreeRecord], fit: FreeFit) -> FreeProjection:
+    """The minimum in halves of recordings next to that in all."""
+    p, fed = fit.projection.p, fit.projection.fed
+    return refine_free(lambda _: half, p, fit.region, 1e-4, fed, last=False, steps=_STEPS)
+
+
 def _halves(fit: FreeFit, rows: Sequence[FreeRecord]) -> list[Finding]:
     """Modes whose poles in the first halves of recordings are not those in the second."""
-    p, fed = fit.projection.p, fit.projection.fed
+    p = fit.projection.p
     halves = [[_half(record, second) for record in rows] for second in (False, True)]
     if any(min(record.samples for record in half) < _FEWEST * fit.unknowns for half in halves):
         return []
     each, shown = [], p.imag > 0
     for half in halves:
-        projection = refine_free(lambda _, half=half: half, p, fit.region, 1e-4, fed, last=False, steps=_STEPS)
+        projection = _refined_in(half, fit)
         if len(projection.p) != len(p) or np.any((projection.p.imag > 0) != (p.imag > 0)):
             return []
         variance = projection.loss / max(1, projection.rows - projection.unknowns)

@@ -124,5 +124,3 @@ class JointProjection(GivenResidues):
             spread = variance * self.quadratic.inner[experiment][np.ix_(these, these)] + crossed @ along.T
             pairs.append((spread, crossed[:, places]))
         return pairs
-
-

@@ -331,8 +331,8 @@ def free_fit(
     if real_poles == "auto" and not automatic:
         again = partial(
             free_fit, channels, quantities=quantities, intersample=intersample, offset=offset, moving=moving,
-            criterion=criterion, reports=reports, weighted=weighted, delay=delay, input_delay=input_delay, method=method,
-            doubted=doubted, beside=beside, white=white,
+            criterion=criterion, reports=reports, weighted=weighted, delay=delay, input_delay=input_delay,
+            method=method, doubted=doubted, beside=beside, white=white,
         )  # fmt: skip
         fit = again(order, max_order=max_order, start=start, real_poles=0)
         return fit if start is not None else _with_real_poles(fit, int(order), max_order, again)
@@ -452,7 +452,12 @@ def _with_real_poles(fit: FreeFit, order: int, max_order: int, again: Callable[.
     They are looked for where modes alone leave what is no noise, or have no peak, as a pair of real poles has none.
     Modes that overlap may be fewer, as a search has them all at once.
     """
-    if fit.interrupted or fit.rounding or fit.beside is not None or not (_broad(fit.projection.p).any() or not is_white(fit.projection)):
+    if (
+        fit.interrupted
+        or fit.rounding
+        or fit.beside is not None
+        or not (_broad(fit.projection.p).any() or not is_white(fit.projection))
+    ):
         return fit
     wider = again("auto", max_order=min(order, max_order))
     real = _real(wider.projection.p)
@@ -1408,14 +1413,14 @@ class FreePath:
         self.seen: list[tuple[float, ComplexArray]] = []  # all so far: costs and poles
         self._shown: tuple[FreeModel, tuple[ComplexArray, Array]] | None = None
         self.separate = False  # whether a common denominator does not explain more than one mode after the other
-        largest = np.zeros(len(felt))
+        extent = np.zeros(len(felt))
         for rows in search.data:
-            largest[rows.outputs] = np.maximum(largest[rows.outputs], rows.largest)
-        largest = np.where(largest > 0, largest, largest.max())  # what is zero is so to the rounding of the others
+            extent[rows.outputs] = np.maximum(extent[rows.outputs], rows.largest)
+        extent = np.where(extent > 0, extent, extent.max())  # what is zero is so to the rounding of the others
         # real equations of each output, losses that are rounding, and the power of all
         counts = self._counted(self.plain)
         self.counts = np.maximum(counts, 1)
-        self.floors = np.maximum(counts * (EPS * counts * largest) ** 2, np.finfo(float).tiny)
+        self.floors = np.maximum(counts * (EPS * counts * extent) ** 2, np.finfo(float).tiny)
         self.search, self._missing = self.plain, np.ones(len(felt))
         self.power = self.plain.model(FreeProjection(self.plain.rows(none := np.zeros(0, complex)), none)).losses
         self.whiten(noise, self.power if best is None else best.losses)
@@ -2130,9 +2135,9 @@ class FreePath:
         rounding = bool(np.any(losses <= self.floors))
         measured = FreeProjection(self.plain.scaled(self.sizes).data, projection.p, fed) if model.innovations else None
         return FreeFit(
-            projection, tuple(channels), 1.0 / self.sizes, table, self.region(projection.p), unknowns, criteria, rounding,
-            interrupted, measured=measured, noise=model.innovations, delay=self.delay, input_delay=self.input_delay,
-            crowded=self.crowded,
+            projection, tuple(channels), 1.0 / self.sizes, table, self.region(projection.p), unknowns, criteria,
+            rounding, interrupted, measured=measured, noise=model.innovations, delay=self.delay,
+            input_delay=self.input_delay, crowded=self.crowded,
         )  # fmt: skip
 
     def without_needless_constants(

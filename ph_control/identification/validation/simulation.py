@@ -237,7 +237,7 @@ def _answer_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules) -> 
     place = next((k for k, data in enumerate(model.experiments) if same_data(record, data.record)), None)
     if place is not None and _keeps_its_state(model.experiments[place], rules.initial_state):
         own = partial(_own_directions, model, place)
-        return Simulation(model.experiments[place].predicted, own, True, _errors_at(model, record))
+        return Simulation(model.experiments[place].predicted, own, True, errors=_errors_at(model, record))
     if isinstance(record, FrequencyRecord | ResponseMatrix):
         answer = _response(model, label, record)
         return Simulation(answer, lambda: _no_directions(record), errors=_errors_at(model, record))
