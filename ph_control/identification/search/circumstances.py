@@ -393,8 +393,8 @@ def _of_largest_order(finding: Finding, terms: _Terms) -> str:
 def _of_fewer_modes(finding: Finding, terms: _Terms) -> str:
     given, enough = finding.values
     return (
-        f"Of the {given:.0f} modes of the order that was given {enough:.0f}, real poles counted in pairs, reproduce the "
-        "data as far as they show any; of others nothing is seen."
+        f"Of the {given:.0f} modes of the order that was given {enough:.0f}, real poles counted in pairs, reproduce "
+        "the data as far as they show any; of others nothing is seen."
     )
 
 
