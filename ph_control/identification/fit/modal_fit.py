@@ -231,6 +231,11 @@ class _Searched:
     moving: bool
     findings: tuple[Finding, ...] = ()
 
+    @property
+    def cut(self) -> _Searched:
+        """The same after an interruption."""
+        return replace(self, free=replace(self.free, interrupted=True))
+
 
 def _beside_hum(latest: _Searched, searched: Callable[[Channels], _Searched], automatic: bool) -> _Searched:
     """The fit beside tones in place of modes that neither decay nor are driven, where the criterion agrees.
@@ -248,7 +253,7 @@ def _beside_hum(latest: _Searched, searched: Callable[[Channels], _Searched], au
         for _ in range(_ROUNDS):
             again = searched(tones.taken_from(latest.channels))
             if again.free.interrupted:
-                return latest
+                return latest.cut
             taken, tones = tones, tones_in(again.free, tones.frequencies)
             if tones.is_near(taken):
                 break
@@ -269,7 +274,9 @@ def _beside_unequal_noise(alone: _Searched, searched: Callable[[Channels], _Sear
             break
         again = searched(alike)
         least = min(alone.free.criteria.bic - charge, latest.free.criteria.bic)
-        if again.free.interrupted or again.free.criteria.bic >= least:
+        if again.free.interrupted:
+            return latest.cut
+        if again.free.criteria.bic >= least:
             break
         latest = again
     # what modes that are missing leave says nothing of the noise
@@ -292,7 +299,7 @@ def _beside_changing_noise(alone: _Searched, searched: Callable[[Channels], _Sea
             tuple(data.of_one_level if level is None else data.adjusted(level=level) for data, level in recordings)
         )
         if again.free.interrupted:
-            break
+            return latest.cut
         latest = again
     if latest is alone:
         return alone

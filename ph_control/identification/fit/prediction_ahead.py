@@ -98,7 +98,7 @@ class Foretelling:
         """
         A, _, C, _ = self._matrices
         noise = self._noise_in_time
-        noise = noise.in_states_of(self._step(noise.dt), C)
+        noise = noise._in_states_of(self._step(noise.dt), C)
         gain = continuous_gain(A, C, noise)
         if gain.any() and (noise.colours is not None or np.ptp(self.delay)):
             why = "outputs have a colour" if noise.colours is not None else "outputs have different delays"

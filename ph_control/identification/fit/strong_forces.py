@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..data.channels import Recording
@@ -40,9 +42,13 @@ def beside_strong_forces(free: FreeFit, order: int | str, max_order: int) -> Fre
     if not _is_mostly_noise(free) or (free.beside is None and is_white(free.projection)):
         return free
     fit = ambient_fit(recordings, order=order if isinstance(order, int) else None, max_order=max_order)
+    if fit is not None and fit.minimum.interrupted:
+        return replace(free, interrupted=True)
     if fit is None or not np.any(fit.evaluation.point.poles.imag > 0):
         return free
     again = beside_known_forces(free, noise_of(fit, recordings[0].dt))
+    if again.interrupted:
+        return again
     return again if again is not free and again.criteria.bic < free.criteria.bic else free
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
@@ -140,7 +141,7 @@ def beside_known_forces(free: FreeFit, noise: NoiseSections) -> FreeFit:
     scaled = noise.moved(sections, noise.C / free.scales[:, None], noise.K * free.scales)
     problem = Problem(experiments, projection.shown, fed=fed)
     try:
-        best = minimise(problem, Point(scaled, projection.shared, tuple(projection.own)), steps=_STEPS)
+        best = _followed(problem, Point(scaled, projection.shared, tuple(projection.own)), steps=_STEPS)
     except KeyboardInterrupt:
         return replace(free, interrupted=True)
     if not np.isfinite(best.evaluation.cost):
@@ -159,7 +160,7 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, most: int
     if "correlated" in kinds and outputs > 1:
         white = replace_colour(start[0], False)
         if certain or _are_correlated(white.at(start[1])):
-            shared = minimise(white, start[1], steps=_STEPS)
+            shared = _followed(white, start[1], steps=_STEPS)
             if certain or _is_likelier(alone, shared.evaluation.cost, outputs * (outputs - 1) // 2):
                 best = shared
     begin = start if best is None else (start[0], best.evaluation.point)
@@ -179,17 +180,17 @@ def _forced(free: FreeFit, rows: Sequence[FreeRecord], start: Start, most: int) 
     """
     table = sorted((row for row in free.order_table if row.order > 0), key=lambda row: row.order)
     if not most or not table:
-        return minimise(*start, steps=_STEPS)
+        return _followed(*start, steps=_STEPS)
     lags = free.projection.p[free.projection.p.imag == 0]
     begin = _start(free, rows, np.concatenate([table[0].poles, lags])) or start
-    best = minimise(*begin, _ROUGH, _FEW)
+    best = _followed(*begin, _ROUGH, _FEW)
     while best.evaluation.point.noise.pairs < most:
         pole = missing_mode(best.evaluation, _PROMISING * _charge(best))
-        wider = None if pole is None else minimise(*_with_mode(best, pole), _ROUGH, _FEW)
+        wider = None if pole is None else _followed(*_with_mode(best, pole), _ROUGH, _FEW)
         if wider is None or _bic(wider) >= _bic(best):
             break
         best = wider
-    return _of_fewer_modes(minimise(best.evaluation.problem, best.evaluation.point, steps=_STEPS))
+    return _of_fewer_modes(_followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS))
 
 
 def _charge(best: Minimum) -> float:
@@ -211,7 +212,7 @@ def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, sh
     if shared is None:
         white, more = _alone(replace(free, noise=()), *start), more + p * (p - 1) // 2
     else:
-        white = minimise(replace_colour(start[0], False), start[1], steps=_STEPS).evaluation.cost
+        white = _followed(replace_colour(start[0], False), start[1], steps=_STEPS).evaluation.cost
     # states that no force moves are seen by outputs in any way: the law of the gain is not that of so many numbers
     charge = more * float(np.log(forced.evaluation.problem.samples * p))
     gain = white - forced.evaluation.cost
@@ -268,7 +269,7 @@ def _without(best: Minimum, section: int) -> Minimum:
         noise, sections=Sections.from_coordinates(noise.sections.x[kept]), C=noise.C[:, states], K=noise.K[states],
         references=np.delete(noise.references, section),
     )  # fmt: skip
-    return minimise(*_on_sections(best, fewer), steps=_STEPS)
+    return _followed(*_on_sections(best, fewer), steps=_STEPS)
 
 
 def _with_mode(best: Minimum, pole: complex) -> Start:
@@ -296,6 +297,14 @@ def _on_sections(best: Minimum, noise: NoiseSections) -> Start:
         Problem(problem.experiments, start.shown, problem.coloured, problem.fed),
         Point(noise, start.shared, tuple(start.own)),
     )
+
+
+def _followed(*begin: Any, **options: Any) -> Minimum:
+    """The minimum from a start; an interruption ends all that was to come of it."""
+    minimum = minimise(*begin, **options)
+    if minimum.interrupted:
+        raise KeyboardInterrupt
+    return minimum
 
 
 def replace_colour(problem: Problem, coloured: bool) -> Problem:
@@ -328,7 +337,7 @@ def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> Start 
         return None
     projection = FreeProjection(rows, sections.p, fed, sections)
     experiments = experiments_of(projection, free.channels)
-    if experiments is None:
+    if experiments is None or projection.deficiency:
         return None
     point = Point(initial_noise(projection, rows[0].hold.h), projection.shared, tuple(projection.own))
     return Problem(experiments, projection.shown, fed=fed), point

@@ -462,7 +462,9 @@ def _with_real_poles(fit: FreeFit, order: int, max_order: int, again: Callable[.
     wider = again("auto", max_order=min(order, max_order))
     real = _real(wider.projection.p)
     fewer = order - real // 2 - wider.order
-    if not real or wider.interrupted:
+    if wider.interrupted:
+        return replace(fit, interrupted=True)
+    if not real:
         return fit
     if fewer > 0 and not wider.crowded:
         wider = again(order - real // 2, max_order=max_order, real_poles=real, start=wider.projection.p)

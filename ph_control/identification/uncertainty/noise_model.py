@@ -170,7 +170,7 @@ class NoiseModel(Frozen):
         cross = None if self.cross is None else T @ self.cross
         return replace(self, forces=T @ self.forces @ T.T, cross=cross, states=(A, C), apart=False)
 
-    def in_states_of(self, A: Array, C: Array) -> NoiseModel:
+    def _in_states_of(self, A: Array, C: Array) -> NoiseModel:
         """The noise with forces that act on the states of a plant, by least squares where its own are apart."""
         if not self.apart or self.states is None:
             return self
