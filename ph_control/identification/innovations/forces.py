@@ -34,6 +34,7 @@ _NUMBERS = 1 << 28  # and those of a Jacobian: a few seconds a step
 _SPARE = 4  # samples of all outputs for each unknown
 _LEAST_DECAY = 0.05  # bins: noise through a pole that decays more slowly never settles
 _STEPS = 40
+_SINGULAR = 1e-6  # smallest eigenvalue of the correlations: outputs so nearly alike leave no covariance to weigh by
 _ROUGH, _FEW = 1.0, 12  # tolerance and steps of a minimisation on the way
 _PROMISING = 0.5  # of what the BIC charges for a mode: what its window has to gain
 
@@ -423,6 +424,8 @@ def _in_noise(free: FreeFit, best: Minimum, alone: float, certain: bool) -> Free
     evaluation = best.evaluation
     point, samples, p = evaluation.point, evaluation.problem.samples, len(free.scales)
     noise = FittedNoise.of(evaluation, free.scales)
+    if np.linalg.eigvalsh(noise.correlations).min() < _SINGULAR:
+        return free
     known = free.projection if free.measured is None else free.measured
     projection = FreeProjection(known.experiments, point.poles, known.fed, point.noise.sections)
     unknowns = projection.unknowns + noise.unknowns
