@@ -11,6 +11,7 @@ damping); the covariance is the one that the prediction errors have.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -513,11 +514,12 @@ def minimise(
         gram, gradient, lengths = best.scaled_normal()
         x = problem.vector(best.point)
         while True:
-            factor = cho_factor(gram + damping * np.eye(len(gram)))
-            step = -cho_solve(factor, gradient) / lengths
-            trial = problem.at(problem.point(x + step, best.point))
-            if trial.cost < best.cost:
-                break
+            with suppress(np.linalg.LinAlgError):  # rounding may leave the Gram matrix indefinite
+                factor = cho_factor(gram + damping * np.eye(len(gram)))
+                step = -cho_solve(factor, gradient) / lengths
+                trial = problem.at(problem.point(x + step, best.point))
+                if trial.cost < best.cost:
+                    break
             damping *= _GROWTH
             if damping > _LARGEST_DAMPING:
                 return Minimum(best, True, taken)
