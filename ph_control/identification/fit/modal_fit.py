@@ -200,12 +200,16 @@ def _of_modes_and_inputs(
     def searched(channels: Channels) -> _Searched:
         return _Searched(channels, *_beside_motion(search_in(channels), order, start, options.moving, resting))
 
-    latest = _beside_hum(searched(channels), searched, isinstance(order, str))
-    if options.noise in ("auto", "forces"):
-        latest = replace(latest, free=beside_strong_forces(latest.free, order, options.max_order))
-    latest = _beside_unequal_noise(latest, searched)
-    if latest.free.beside is None:
-        latest = _beside_changing_noise(latest, searched)
+    latest = searched(channels)
+    try:
+        latest = _beside_hum(latest, searched, isinstance(order, str))
+        if options.noise in ("auto", "forces"):
+            latest = replace(latest, free=beside_strong_forces(latest.free, order, options.max_order))
+        latest = _beside_unequal_noise(latest, searched)
+        if latest.free.beside is None:
+            latest = _beside_changing_noise(latest, searched)
+    except KeyboardInterrupt:
+        latest = latest.cut
     search, moving = search_in(latest.channels), latest.moving
     free = replace(
         latest.free, findings=(*latest.findings, *latest.free.findings, *_about_order(latest.free, order, options))
