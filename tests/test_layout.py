@@ -45,7 +45,7 @@ NUMERICS = {
 # other tests that import modules of the package; all the rest use public names, and the command line
 INTERNALS = {
     "test_bootstrap", "test_channels", "test_cli_models", "test_contradiction", "test_data", "test_excitation",
-    "test_plots", "test_system_plots",
+    "test_plots", "test_system_plots", "test_windowed_responses",
 }  # fmt: skip
 
 

@@ -24,12 +24,21 @@ _NEAR = 0.1  # of a turn between samples: where a series is more accurate
 
 
 class Peaks(NamedTuple):
-    """What stands for `1 / (s - p)` and `1 / (s - conj p)`, shapes (n, K), and their derivatives by `p`, `conj p`."""
+    """What stands for `1 / (s - p)` and `1 / (s - conj p)`, shapes (n, K), and their derivatives by `p`, `conj p`.
+
+    Those of the two themselves are their squares, and need not be there.
+    """
 
     ahead: ComplexArray
     behind: ComplexArray
-    ahead_slope: ComplexArray
-    behind_slope: ComplexArray
+    slopes_of: tuple[ComplexArray, ComplexArray] | None = None
+
+    @property
+    def slopes(self) -> tuple[ComplexArray, ComplexArray]:
+        """Derivatives of both."""
+        if self.slopes_of is not None:
+            return self.slopes_of
+        return np.asarray(self.ahead**2, complex), np.asarray(self.behind**2, complex)
 
 
 def windowed_peaks(window: SpectralWindow, omega: Array, p: ComplexArray) -> Peaks:
@@ -47,9 +56,9 @@ def windowed_peaks(window: SpectralWindow, omega: Array, p: ComplexArray) -> Pea
     fading = r[1:] * powers
     values = np.concatenate([b1, weight * fading], axis=1)
     slopes = np.concatenate([b1_slope, (weight_slope + weight * (k * window.step)) * fading], axis=1)
-    pairs = [_transforms(each, window, omega) for each in (values, slopes)]
+    (ahead, behind), turned = (_transforms(each, window, omega) for each in (values, slopes))
     held = window.hold_at(omega)
-    return Peaks(*(part / held for part in (pairs[0][0], pairs[0][1], pairs[1][0], pairs[1][1])))
+    return Peaks(ahead / held, behind / held, (turned[0] / held, turned[1] / held))
 
 
 def _transforms(values: Any, window: SpectralWindow, omega: Array) -> tuple[Any, Any]:
@@ -72,7 +81,8 @@ def _bandlimited(window: SpectralWindow, omega: Array, p: ComplexArray) -> Peaks
     values, slopes = (_transforms(each, window, omega) for each in (fading, fading * (k * h)))
     s = 1j * omega
     folded = [_folded(pole[:, None] - s, h) for pole in (p, p.conj())]
-    return Peaks(values[0] + folded[0][0], values[1] + folded[1][0], slopes[0] + folded[0][1], slopes[1] + folded[1][1])
+    turned = slopes[0] + folded[0][1], slopes[1] + folded[1][1]
+    return Peaks(values[0] + folded[0][0], values[1] + folded[1][0], turned)
 
 
 def _folded(q: ComplexArray, h: float) -> tuple[ComplexArray, ComplexArray]:

@@ -77,10 +77,10 @@ def _of_response(data: Any, result: Any) -> Directions:
     rows = FreeResponse(
         record.omega, record.response[None], every, every > 0, result.quantities[0], terms=terms, window=record.window
     )
-    ahead, behind, ahead_slope, behind_slope = rows.peaks(p)
-    slopes = stacked((rho[:, None] * ahead_slope, rho.conj()[:, None] * behind_slope))
+    peaks = rows.peaks(p)
+    slopes = stacked((rho[:, None] * peaks.slopes[0], rho.conj()[:, None] * peaks.slopes[1]))
     late = np.exp(-1j * record.omega * result.delay[0])
-    columns = late * np.concatenate([slopes, stacked((ahead, behind))])
+    columns = late * np.concatenate([slopes, stacked((peaks.ahead, peaks.behind))])
     return Directions(columns.T @ _tangent(result)[: len(columns)], (late * rows.background).T)
 
 

@@ -216,24 +216,24 @@ class FreeResponse:
         else:
             peaks = peaks or self.peaks(p)
             modes = stacked((peaks.ahead, peaks.behind))
-        fed = self.direct[: int(self.through)]
-        return np.concatenate([self.background, self.in_rows(np.concatenate([modes, fed]))])
+        fed = [self.in_rows(self.direct)] if self.through else []
+        return np.concatenate([self.background, self.in_rows(modes), *fed])
 
     def slopes(self, p: ComplexArray, peaks: Peaks) -> ComplexArray:
         """Derivatives of the columns by real, then imaginary parts of poles, in the scale of the weights."""
         if self.classical:
             return self.in_rows(self._classical(p)[1])
-        return self.in_rows(stacked((peaks.ahead_slope, peaks.behind_slope)))
+        return self.in_rows(stacked(peaks.slopes))
 
     def classical_columns(self, p: ComplexArray) -> ComplexArray:
         """`s^k / (s - p) (s - p*)`."""
-        ahead, behind, *_ = self.peaks(p)
+        ahead, behind = self.peaks(p)[:2]
         return np.asarray(differentiated(self.omega, self.quantity) * ahead * behind)
 
     def _classical(self, p: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Columns of modes with classical damping, and their derivatives by real, then imaginary parts of poles."""
         columns = self.classical_columns(p)
-        ahead, behind, *_ = self.peaks(p)
+        ahead, behind = self.peaks(p)[:2]
         turned = 2 * columns * ahead * behind
         slopes = [turned * (1j * self.omega - p.real[:, None]), -turned * p.imag[:, None]]
         return np.concatenate([columns, np.zeros_like(columns)]), np.concatenate(slopes)
@@ -245,9 +245,7 @@ class FreeResponse:
         s, poles = 1j * self.omega, p[:, None]
         least = EPS * np.maximum(np.abs(poles), self.bin)
         ahead, behind = (np.where(gap == 0, least, gap) for gap in (s - poles, s - poles.conj()))
-        values = np.asarray(1.0 / ahead, complex), np.asarray(1.0 / behind, complex)
-        squares = np.asarray(values[0] ** 2, complex), np.asarray(values[1] ** 2, complex)
-        return Peaks(values[0], values[1], squares[0], squares[1])
+        return Peaks(np.asarray(1.0 / ahead, complex), np.asarray(1.0 / behind, complex))
 
 
 def terms_in(coefficients: ComplexArray) -> tuple[Term, ...]:
@@ -279,7 +277,8 @@ class FreeResponseEvaluation(Evaluation):
         if rows.delay is not None:  # what is fed through changes with s, and modes by the force beside themselves
             s, felt = 1j * rows.omega, rows.direct
             derivatives += [rows.in_rows(s * felt if rows.through else felt)]
-            derivatives += [rows.in_rows(s * background_columns(rows.terms, rows.omega))]
+            columns = background_columns(rows.terms, rows.omega)
+            derivatives += [s * rows.background if rows.white is None else rows.in_rows(s * columns)]
         yield real_rows([rows.columns(self._p, peaks), *derivatives, rows.target])
 
     def predict(self, shared: Array, own: Array) -> ComplexArray:
@@ -291,5 +290,5 @@ class FreeResponseEvaluation(Evaluation):
         late = 1.0 if not rows.delay else np.exp(-1j * rows.omega * rows.delay)
         values = weights.T @ rows.columns(self._p)
         late = late / rows.weight if rows.white is None else late
-        everywhere[:, rows.observed] = late * (values if rows.white is None else rows.white.coloured(values))
+        everywhere[:, rows.observed] = (values if rows.white is None else rows.white.coloured(values)) * late
         return everywhere

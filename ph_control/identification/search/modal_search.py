@@ -693,7 +693,7 @@ def _effects(projection: FreeProjection, channels: Sequence[ResponseMatrix]) -> 
     number = {id(data.omega): k for k, data in enumerate(channels)}
     for rows in projection.experiments:
         assert isinstance(rows, FreeResponse)
-        ahead, behind, *_ = rows.peaks(projection.p)
+        ahead, behind = rows.peaks(projection.p)[:2]
         for output in rows.outputs.tolist():
             r = projection.residues[:, output, 0][:, None]
             size = np.abs((r * ahead + r.conj() * behind) * rows.weight) ** 2
