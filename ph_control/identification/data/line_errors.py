@@ -21,13 +21,13 @@ class LineErrors:
     ----------
     covariances, relations : ndarray of complex, shape (p, m, b + 1, K)
         Entry d of each entry of the response is `E[e_(k + d) conj(e_k)]`, or `E[e_(k + d) e_k]`, at points k.
-    noise : ndarray, shape (p,)
+    noise_ratio : ndarray, shape (p,)
         Variance of white noise at each output over that of an input.
     """
 
     covariances: ComplexArray
     relations: ComplexArray
-    noise: Array
+    noise_ratio: Array
     law: Any = field(default=None, init=False, repr=False)  # of all entries together, where a fit has just made it
 
     def factor(self, output: int, input: int, observed: Mask) -> BandedFactor:

@@ -1376,7 +1376,7 @@ def _shared_errors(channel: ResponseMatrix, entry: int, seen: Mask) -> SharedErr
     if channel.errors is None or law is None or channel.window is None or len(channel.response) * inputs < 2:
         return None
     place, lines = divmod(entry, inputs), channel.window.lines(channel.omega[seen])
-    return SharedErrors.of(law, place, float(channel.errors.noise[place[0]]), lines)
+    return SharedErrors.of(law, place, float(channel.errors.noise_ratio[place[0]]), lines)
 
 
 def _refuse_unmeasured(matrix: ResponseMatrix, measured: Array) -> None:
