@@ -25,6 +25,7 @@ _TOLD = 10.0  # log-likelihood by which noise of a kind has to explain more than
 _ASTRAY = 4.0  # times the squares left beside the modes, at which these were left for the sake of what is no noise
 _GRID = 4096  # frequencies of a spectrum
 _EXACT = 1e-13  # relative decrease of the loss at which a refinement ends
+_ROUNDS = 1  # of the fit and its noise in turn
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,14 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     through = any(finding.cause is Cause.INPUT_NOISE for finding in findings)
     if free.noise and not through and is_white(free.projection):
         return free
-    return _whitened(free, projection, [row for record in records for row in record.filtered(filters)])
+    for _ in range(_ROUNDS):
+        whitened = _whitened(free, projection, [row for record in records for row in record.filtered(filters)])
+        if whitened is free or whitened.measured is None:
+            break
+        # under feedback the noise moves what was fitted in white noise, and so what this leaves
+        free, projection = whitened, GivenResidues(whitened.measured, whitened.projection.shared)
+        filters = [output.innovations for output in noise_of(replace(free, projection=projection), records)]
+    return free
 
 
 def _whitened(free: FreeFit, projection: FreeProjection, rows: Sequence[FreeRecord]) -> FreeFit:
