@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import combinations_with_replacement
+from itertools import chain, combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -22,8 +22,9 @@ _BY_CHANCE = 1e-4  # probability that a plant that does not change shows such a 
 _KNOWN = 0.3  # relative error of the decay rate of a mode in a half, beyond which nothing is said of it
 _SHOWN = 10.0  # times the unknowns of a mode, in squares of standard errors: what a half has to show of it
 _FEWEST = 6  # times the unknowns that a half has samples
-_STEPS = 4  # of the refinement in a half
-_NEAR = 0.05  # p-value from which on a pole is a multiple of others,
+_ROUGH = 1e-4  # relative decrease of the loss at which the refinement in a half ends,
+_STEPS = 4  # or after so many
+_NEAR = 0.005  # p-value from which on a pole is a multiple of others,
 _SMALL = 0.2  # with so much of the amplitude of each of them at most
 _ASIDE = 0.02  # relative error of the decay rate of a multiple, beyond which many would agree by chance
 
@@ -42,12 +43,6 @@ def not_linear(fit: FreeFit) -> list[Finding]:
     return multiples or _halves(fit, rows)
 
 
-def _refined_in(half: Sequence[FreeRecord], fit: FreeFit) -> FreeProjection:
-    """The minimum in halves of recordings next to that in all."""
-    p, fed = fit.projection.p, fit.projection.fed
-    return refine_free(lambda _: half, p, fit.region, 1e-4, fed, last=False, steps=_STEPS)
-
-
 def _halves(fit: FreeFit, rows: Sequence[FreeRecord]) -> list[Finding]:
     """Modes whose poles in the first halves of recordings are not those in the second."""
     p = fit.projection.p
@@ -56,7 +51,7 @@ def _halves(fit: FreeFit, rows: Sequence[FreeRecord]) -> list[Finding]:
         return []
     each, shown = [], p.imag > 0
     for half in halves:
-        projection = _refined_in(half, fit)
+        projection = _refined(half, p, fit)
         if len(projection.p) != len(p) or np.any((projection.p.imag > 0) != (p.imag > 0)):
             return []
         variance = projection.loss / max(1, projection.rows - projection.unknowns)
@@ -79,6 +74,11 @@ def _halves(fit: FreeFit, rows: Sequence[FreeRecord]) -> list[Finding]:
     return findings
 
 
+def _refined(rows: Sequence[FreeRecord], p: ComplexArray, fit: FreeFit) -> FreeProjection:
+    """Modes of a fit refined in some rows."""
+    return refine_free(lambda _: rows, p, fit.region, _ROUGH, fit.projection.fed, last=False, steps=_STEPS)
+
+
 def _half(record: FreeRecord, second: bool) -> FreeRecord:
     """The first half of a record, or the second, in motion where that begins."""
     part = slice(record.length // 2, None) if second else slice(0, record.length // 2)
@@ -89,41 +89,38 @@ def _half(record: FreeRecord, second: bool) -> FreeRecord:
 
 
 def _multiples(fit: FreeFit) -> list[Finding]:
-    """Modes of free motions that have twice or three times the pole of a stronger one, or sums of two.
+    """Modes of free motions whose poles are sums of those of two or three stronger ones, of which one may be conjugate.
 
     A quadratic or cubic law of the spring or the sensor makes these of decays: both frequency and decay rate add up.
     """
     projection, n = fit.projection, len(fit.projection.p)
-    p, covariance, sizes = projection.p, fit.covariance, _amplitudes(projection)
-    findings = []
-    for l in np.flatnonzero(p.imag > 0).tolist():
-        error = np.sqrt(max(covariance[n + l, n + l], 0.0))
-        strong = [k for k in np.flatnonzero(p.imag > 0).tolist() if k != l and sizes[l] < _SMALL * sizes[k]]
-        if error > _ASIDE * abs(p[l].imag):
-            continue
-        for terms in (*combinations_with_replacement(strong, 2), *combinations_with_replacement(strong, 3)):
-            for signs in ((1,) * len(terms), (*(1,) * (len(terms) - 1), -1)):
-                T = np.zeros((2, 2 * n))
-                T[0, l], T[1, n + l] = 1.0, 1.0
-                for k, sign in zip(terms, signs, strict=True):
-                    T[0, k] -= sign
-                    T[1, n + k] -= 1.0
-                away = T @ np.concatenate([p.imag, p.real])
-                # a difference of a mode and itself has no frequency
-                if (
-                    len({k for k, sign in zip(terms, signs, strict=True) if sign < 0} & set(terms[:-1]))
-                    and min(signs) < 0
-                ):
-                    continue
-                spread = T @ covariance[: 2 * n, : 2 * n] @ T.T
-                if chi2.sf(float(away @ np.linalg.pinv(spread, hermitian=True) @ away), 2) > _NEAR:
-                    parts = [float(sign * abs(p[k])) for k, sign in zip(terms, signs, strict=True)]
-                    findings.append(Finding(Cause.MULTIPLE, (float(abs(p[l])), *parts), 0.0))
-                    break
-            else:
-                continue
-            break
+    p, covariance, sizes = projection.p, fit.covariance[: 2 * n, : 2 * n], _amplitudes(projection)
+    modes, findings = np.flatnonzero(p.imag > 0), list[Finding]()
+    for l in modes.tolist():
+        known = covariance[n + l, n + l] < (_ASIDE * abs(p[l])) ** 2
+        strong = [k for k in modes.tolist() if sizes[l] < _SMALL * sizes[k]] if known else []
+        likely = 0.0
+        for plus, minus in _combinations(strong):
+            T = np.zeros((2, 2 * n))
+            T[[0, 1], [l, n + l]] = 1.0
+            for k, sign in (*((k, 1.0) for k in plus), *((k, -1.0) for k in minus)):
+                T[[0, 1], [k, n + k]] -= sign, 1.0
+            apart = T @ np.concatenate([p.imag, p.real])
+            p_value = float(chi2.sf(apart @ np.linalg.pinv(T @ covariance @ T.T, hermitian=True) @ apart, 2))
+            if p_value > max(_NEAR, likely):
+                likely, made = p_value, (*(abs(p[k]) for k in plus), *(-abs(p[k]) for k in minus))
+        if likely:
+            findings.append(Finding(Cause.MULTIPLE, tuple(map(float, (abs(p[l]), *made))), 0.0))
     return findings
+
+
+def _combinations(modes: Sequence[int]) -> Iterator[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Two or three modes whose frequencies are added, and those of them that are subtracted: at most one."""
+    for plus in chain.from_iterable(combinations_with_replacement(modes, count) for count in (1, 2, 3)):
+        if len(plus) > 1:
+            yield plus, ()
+        if len(plus) < 3:
+            yield from ((plus, (k,)) for k in modes if k not in plus)
 
 
 def _amplitudes(projection: FreeProjection) -> Array:

@@ -341,11 +341,12 @@ def _of_changing_noise(finding: Finding, terms: _Terms) -> str:
 
 def _of_changing_mode(finding: Finding, terms: _Terms) -> str:
     first, second, damping, then = finding.values
+    unit = terms.frequency_unit
     return (
-        f"A mode has {terms.frequency(first):.6g} {terms.frequency_unit} and {100 * damping:.3g} % damping in the "
-        f"first half of the recording, {terms.frequency(second):.6g} and {100 * then:.3g} % in the second "
-        f"({_gain(finding)}): it depends on the amplitude, or the plant changed. Errors are those of one plant; fit "
-        "the parts by fit_many, or repeat the test with less force."
+        f"A mode has {terms.frequency(first):.6g} {unit} and {100 * damping:.3g} % damping in the first half of the "
+        f"recording, {terms.frequency(second):.6g} {unit} and {100 * then:.3g} % in the second ({_gain(finding)}): it "
+        "depends on the amplitude, or the plant changed. Errors are those of one plant; fit the parts by fit_many, or "
+        "repeat the test with less force."
     )
 
 
