@@ -56,7 +56,7 @@ class FreeResponse:
     constant is none of the background but what is fed `through`, except of a displacement.  Residues are of any phase,
     or those of `classical` damping: in place of their real parts stand real numbers `B` of `B s^k / (s - p) (s - p*)`,
     k that of the quantity, in place of their imaginary parts zeros.  Where responses have a `delay`, rows are those of
-    the responses without it.
+    the responses without it.  `experiment` is the number of the response matrix that they are of.
 
     Those estimated with a `window` show modes as it does.  Where errors are correlated, rows are those in which they
     are `white`, in place of a scale; `shared_errors` are those that entries have in common.
@@ -75,6 +75,7 @@ class FreeResponse:
     window: SpectralWindow | None = None
     white: BandedFactor | None = None
     shared_errors: SharedErrors | None = None
+    experiment: int = 0
     moving: ClassVar[bool] = False
     inputs: ClassVar[int] = 1
     acting: ClassVar[Indices] = np.zeros(1, int)

@@ -521,8 +521,8 @@ class Responses(FreeSearch):
     def spread(self, rows: Sequence[FreeRows]) -> Sequence[FreeRows]:
         """A part of the points where there are many."""
         return [
-            response.spread(_EVERYWHERE // 2) if len(response.omega) > _EVERYWHERE else response
-            for response in self.data
+            response.spread(_EVERYWHERE // 2) if len(response.omega) > _EVERYWHERE else part
+            for response, part in zip(self.data, rows, strict=True)
         ]
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:

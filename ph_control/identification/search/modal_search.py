@@ -616,12 +616,9 @@ def _explains(whole: FreeFit, calm: FreeFit, lines: Sequence[Indices]) -> bool:
     """
     if any(np.any(data.omega[far] == 0) for data, far in zip(whole.channels, lines, strict=True)):
         return False
-    known = {
-        id(data.omega): (far, others) for data, far, others in zip(whole.channels, lines, calm.channels, strict=True)
-    }
     for rows, predicted in zip(whole.projection.experiments, whole.projection.predictions(), strict=True):
         if isinstance(rows, FreeResponse):
-            far = known[id(rows.frequencies)][0]
+            far = lines[rows.experiment]
             if np.any(np.abs(rows.response - predicted)[:, far] > _EXPLAINED * np.abs(rows.response[:, far])):
                 return False
     losses = []
@@ -629,7 +626,7 @@ def _explains(whole: FreeFit, calm: FreeFit, lines: Sequence[Indices]) -> bool:
         losses.append(0.0)
         for rows, predicted in zip(fit.projection.experiments, fit.projection.predictions(), strict=True):
             if isinstance(rows, FreeResponse):
-                others = known[id(rows.frequencies)][1]
+                others = calm.channels[rows.experiment]
                 weights = np.where(others.observed, others.weights, 0.0).reshape(-1, others.samples)[rows.outputs]
                 size = np.abs(rows.response - predicted) * fit.scales[rows.outputs, None]
                 losses[-1] += float(np.nansum(weights * size**2))
@@ -666,7 +663,7 @@ def _without_errors(whole: FreeFit, channels: Sequence[ResponseMatrix], among: C
         for k, data in enumerate(channels) for d in projection.d[projection.p.imag > 0]
     }  # fmt: skip
     order: dict[str, int] = {"order": whole.order, "real_poles": _real(projection.p)}
-    calm = leaving(nearest, **order)
+    calm = leaving(nearest, **order, start=projection.p)
     if calm is whole or not is_white(calm.projection):
         return whole
     start = calm.projection.p
@@ -690,14 +687,13 @@ def _of_single_lines(fit: FreeFit, channels: Sequence[ResponseMatrix]) -> dict[i
 def _effects(projection: FreeProjection, channels: Sequence[ResponseMatrix]) -> list[Array]:
     """Square of what each mode adds to each line of each experiment, all entries together, in units of the noise."""
     effects = [np.zeros((len(projection.p), data.samples)) for data in channels]
-    number = {id(data.omega): k for k, data in enumerate(channels)}
     for rows in projection.experiments:
         assert isinstance(rows, FreeResponse)
         ahead, behind = rows.peaks(projection.p)[:2]
         for output in rows.outputs.tolist():
             r = projection.residues[:, output, 0][:, None]
             size = np.abs((r * ahead + r.conj() * behind) * rows.weight) ** 2
-            effects[number[id(rows.frequencies)]][:, rows.observed] += size
+            effects[rows.experiment][:, rows.observed] += size
     return effects
 
 
@@ -1281,10 +1277,10 @@ def _with_weights(channels: Sequence[ResponseMatrix], weights: Sequence[Array]) 
 def _inverse_variances(fit: FreeFit, laws: Sequence[NoiseLaw]) -> list[Array]:
     """Weights (p, m, K) of each experiment by the laws of its entries, in the units of the data."""
     inverse_variances, projection = [], fit.projection
-    for channel in fit.channels:
+    for number, channel in enumerate(fit.channels):
         weights = np.ones((len(laws), channel.samples))
         for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
-            if isinstance(rows, FreeResponse) and rows.frequencies is channel.omega:
+            if isinstance(rows, FreeResponse) and rows.experiment == number:
                 for output, gain in zip(rows.outputs.tolist(), np.abs(predicted), strict=True):
                     variance = laws[output].floor ** 2 + (laws[output].share * gain) ** 2
                     weights[output] = 1.0 / (fit.scales[output] ** 2 * np.where(np.isnan(gain), 1.0, variance))
@@ -1343,7 +1339,7 @@ def _responses(
 ) -> list[FreeResponse]:
     """Entries grouped where weights, but for a factor, and points agree."""
     responses = list[FreeResponse]()
-    for channel in channels:
+    for number, channel in enumerate(channels):
         entries = channel.response.reshape(-1, channel.samples)
         weights, observed = channel.weights.reshape(entries.shape), channel.observed.reshape(entries.shape)
         kinds = np.repeat(np.array(quantities), channel.response.shape[1])
@@ -1361,7 +1357,7 @@ def _responses(
             white = None if channel.errors is None else channel.errors.factor(output, source, seen)
             rows = FreeResponse(
                 channel.omega, response, scale, seen, kind, np.array(members), window=channel.window, white=white,
-                shared_errors=_shared_errors(channel, first, seen),
+                shared_errors=_shared_errors(channel, first, seen), experiment=number,
             )  # fmt: skip
             responses.append(rows.on_background())
     if delay is None or not delay.any():
