@@ -306,7 +306,7 @@ def checked_input_delay(value: Any, channels: Channels) -> Array | None:
             )
         if 2 * samples.max() > data.samples:
             raise StructureError(
-                f"input_delay has {times.max():.6g}, {samples.max():.0f} samples of a record of {data.samples}; it may be "
+                f"input_delay has {times.max():.6g}, {samples.max():.0f} samples of {data.samples}; it may be "
                 "half of a record at most"
             )
     return times

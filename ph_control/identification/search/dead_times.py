@@ -28,14 +28,9 @@ _ROUNDS = 3  # of dead times and noise in turn
 _SAMPLES = 3000  # of each record that are looked at
 
 
-def distinct(samples: Indices) -> bool:
-    """Whether inputs have different dead times, so that no delay of the outputs says the same."""
-    return bool(np.ptp(samples))
-
-
 def numbers_of(samples: Indices) -> int:
     """Parameters of dead times: those that are not 0, or one that all inputs share."""
-    return int(np.count_nonzero(samples)) if distinct(samples) else int(samples[0] != 0)
+    return int(np.count_nonzero(samples)) if np.ptp(samples) else int(samples[0] != 0)
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from ..regression.variable_projection import Interrupted, Progress
 from ..uncertainty.residual_tests import ljung_box
 from .circumstances import Cause, Finding
 from .criteria import Criteria, past_of_noise, stands_out
-from .dead_times import DeadTimeScan, distinct, numbers_of
+from .dead_times import DeadTimeScan, numbers_of
 from .free_search import FreeModel, FreeSearch, Records, Responses
 from .held_out import foretelling_order
 from .response_noise import ROUNDS, SETTLED, NoiseLaw, balanced, entry_laws
@@ -749,7 +749,7 @@ def _of_late_inputs(path: FreePath, channels: Experiments, search: _Search, drif
     proposed = _proposed_dead_times(rows, path.felt.shape[1], np.zeros(0, complex))
     if proposed is None:
         return None
-    late_path = search.path_for(channels, late=Lateness(np.zeros(path.felt.shape[0]), proposed.times))
+    late_path = search.path_for(channels, late=_lateness_of(proposed.times, path.felt.shape[0]))
     late_path.whiten(proposed.noise, late_path.power)
     late = search.along(late_path, channels, np.append(search.begin, proposed.lags))
     try:
@@ -774,7 +774,7 @@ def _with_dead_times(fit: FreeFit, anew: Anew, search: _Search, drifting: bool) 
     proposed = _proposed_dead_times(_of_fit(fit), len(fit.input_delay), p[~mimics]) if not mimics.all() else None
     if proposed is None:  # lags alone were looked at before
         return None
-    late = anew(Lateness(np.zeros_like(fit.delay), proposed.times), fit.offset, None)
+    late = anew(_lateness_of(proposed.times, len(fit.delay)), fit.offset, None)
     return _likelier_late(_in_best_dead_times(late, search, drifting), fit)
 
 
@@ -793,18 +793,27 @@ def _likelier_late(late: FreeFit, on_time: FreeFit) -> FreeFit | None:
 def _in_best_dead_times(fit: FreeFit, search: _Search, drifting: bool) -> FreeFit:
     """The fit with the dead times that are the likeliest for its poles and its noise, and poles for these."""
     for _ in range(_SCANS):
-        step = fit.channels[0].dt
-        scan = _scan(_of_fit(fit), fit.projection.p, fit.projection.fed_through)
-        samples = scan.refined(np.rint(fit.input_delay / step).astype(int), fit.noise)
-        if not distinct(samples) or np.array_equal(step * samples, fit.input_delay):
+        before = _dead_samples(fit)
+        samples = _scan(_of_fit(fit), fit.projection.p, fit.projection.fed_through).refined(before, fit.noise)
+        if np.array_equal(samples, before):
             break
-        again = _searches_anew(fit, search, drifting)(
-            Lateness(np.zeros_like(fit.delay), step * samples), fit.offset, fit.projection.p
-        )
+        lateness = _lateness_of(fit.channels[0].dt * samples, len(fit.delay))
+        again = _searches_anew(fit, search, drifting)(lateness, fit.offset, fit.projection.p)
         if _criterion(again) >= _criterion(fit):
             break
         fit = again
     return fit
+
+
+def _lateness_of(times: Array, outputs: int) -> Lateness:
+    """Delays that have these dead times of the inputs: what all inputs share is one of the outputs."""
+    common = 0.0 if np.ptp(times) else float(times[0])
+    return Lateness(np.full(outputs, common), times - common)
+
+
+def _dead_samples(fit: FreeFit) -> Indices:
+    """Samples by which each input acts later, with what all outputs are late by."""
+    return np.asarray(np.rint((fit.input_delay + fit.delay.min()) / fit.channels[0].dt), int)
 
 
 def _of_fit(fit: FreeFit) -> list[FreeRecord]:
@@ -837,7 +846,7 @@ def _proposed_dead_times(rows: Sequence[FreeRecord], inputs: int, p: ComplexArra
     """Times by which inputs act later, that some modes and a few lags are likelier with by far than any without.
 
     A lag of second order looks like one of first order and a dead time: more lags without dead times have to be less
-    likely as well.  None where there are no such times, or where they are a delay of the outputs.
+    likely as well.  None where there are no such times.
     """
     steps = [record.hold.h for record in rows]
     if inputs < 2 or np.ptp(steps) > EPS * max(steps) or is_short(rows[0]):
@@ -858,16 +867,14 @@ def _proposed_dead_times(rows: Sequence[FreeRecord], inputs: int, p: ComplexArra
         cost, late, lags = min(trials, key=lambda trial: trial[0])
         if cost > least - TUNING.likely:
             return None
-    times = np.asarray(steps[0] * late.samples)
-    return _Proposal(times, lags.astype(complex), late.noise) if distinct(late.samples) else None
+    return _Proposal(np.asarray(steps[0] * late.samples), lags.astype(complex), late.noise)
 
 
 def _criterion(fit: FreeFit) -> float:
     """BIC over the samples that the longest dead times leave to all fits, with these among the parameters."""
     rows = _records(fit.channels, fit.intersample, fit.offset, _of_fit(fit)[0].moving, fit.method, fit.lateness)
-    dead = np.rint(fit.input_delay / fit.channels[0].dt).astype(int)
-    most = _longest_dead_time(rows) - int(dead.max(initial=0))
-    rows = [row.delayed(row.delay_time, 0.0, most * row.hold.h) for row in rows]
+    most = _longest_dead_time(rows) * fit.channels[0].dt - float(fit.input_delay.max(initial=0.0))
+    rows = [row.delayed(row.delay_time, 0.0, most) for row in rows]
     shown = Records(rows).whitened(fit.noise).data if fit.noise else rows
     counts = np.zeros(len(fit.scales))
     for row in shown:
@@ -875,7 +882,7 @@ def _criterion(fit: FreeFit) -> float:
     losses = np.maximum(FreeProjection(shown, fit.projection.p, fit.projection.fed).losses, np.finfo(float).tiny)
     whole = float(fit.projection.rows)
     loglik = -0.5 * whole / counts.sum() * float(counts @ np.log(losses / counts))
-    return (fit.unknowns + numbers_of(dead)) * float(np.log(whole)) - 2 * loglik
+    return (fit.unknowns + numbers_of(_dead_samples(fit))) * float(np.log(whole)) - 2 * loglik
 
 
 def _on_time(fit: FreeFit, anew: Anew) -> FreeFit:
