@@ -85,9 +85,16 @@ class DeadTimeScan:
             judged.append(replace(problem.judged(samples), noise=noise if coloured else ()))
         return judged[0], judged[1]
 
-    def refined(self, start: Indices, noise: tuple[Array, ...]) -> Indices:
+    def refined(self, start: Indices, noise: tuple[Array, ...]) -> DeadTimes:
         """Dead times of the best criterion from a start on, in noise with these innovations filters."""
-        return self._in_noise(noise).in_turns(start)
+        problem = self._in_noise(noise)
+        return replace(problem.judged(problem.in_turns(start)), noise=noise)
+
+    def cost(self, dead_times: DeadTimes) -> float:
+        """Half the BIC of dead times with these poles."""
+        states = len(self.p) + int(np.sum(self.p.imag != 0))
+        unknowns = numbers_of(dead_times.samples) + states * (1 + self.fed.size)
+        return self.each * unknowns - dead_times.loglik
 
     @cached_property
     def _plain(self) -> _Problem:

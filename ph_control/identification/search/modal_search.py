@@ -743,7 +743,8 @@ def undelayed(fit: FreeFit) -> Lateness:
 def _of_late_inputs(path: FreePath, channels: Experiments, search: _Search, drifting: bool) -> FreeFit | None:
     """The fit with inputs that act later, each by a time of its own, where a few lags already tell; None elsewhere.
 
-    It has to be likelier than what a search without dead times finds that begins with its poles and its noise.
+    It has to be likelier than what a search without dead times finds that begins with its poles and its noise, with one
+    more mode at most: more of them would come to stand for dead times one by one.
     """
     rows = [record for record in path.plain.data if isinstance(record, FreeRecord)]
     proposed = _proposed_dead_times(rows, path.felt.shape[1], np.zeros(0, complex))
@@ -759,7 +760,8 @@ def _of_late_inputs(path: FreePath, channels: Experiments, search: _Search, drif
     if late.interrupted:
         return late
     path.whiten(late.noise, path.power)
-    return _likelier_late(late, search.along(path, channels, late.projection.p))
+    rival = replace(search, most=min(search.most, late.order + search.automatic))
+    return _likelier_late(late, rival.along(path, channels, late.projection.p))
 
 
 def _with_dead_times(fit: FreeFit, anew: Anew, search: _Search, drifting: bool) -> FreeFit | None:
@@ -791,14 +793,24 @@ def _likelier_late(late: FreeFit, on_time: FreeFit) -> FreeFit | None:
 
 
 def _in_best_dead_times(fit: FreeFit, search: _Search, drifting: bool) -> FreeFit:
-    """The fit with the dead times that are the likeliest for its poles and its noise, and poles for these."""
+    """The fit with the dead times that are the likeliest for its slowest poles and its noise, and poles for these.
+
+    Fast poles may stand for a part of a dead time.
+    """
     for _ in range(_SCANS):
-        before = _dead_samples(fit)
-        samples = _scan(_of_fit(fit), fit.projection.p, fit.projection.fed_through).refined(before, fit.noise)
-        if np.array_equal(samples, before):
+        before, slowest = _dead_samples(fit), fit.projection.p[np.argsort(np.abs(fit.projection.p))]
+        trials = []
+        for count in range(len(slowest), 0, -1):
+            scan = _scan(_of_fit(fit), slowest[:count], fit.projection.fed_through)
+            dead = scan.refined(before, fit.noise)
+            trials.append((scan.cost(dead), dead.samples, scan.p))
+        if not trials:
+            break
+        _, samples, p = min(trials, key=lambda trial: trial[0])
+        if np.array_equal(samples, before) and len(p) == len(slowest):
             break
         lateness = _lateness_of(fit.channels[0].dt * samples, len(fit.delay))
-        again = _searches_anew(fit, search, drifting)(lateness, fit.offset, fit.projection.p)
+        again = _searches_anew(fit, search, drifting)(lateness, fit.offset, p)
         if _criterion(again) >= _criterion(fit):
             break
         fit = again
@@ -853,17 +865,16 @@ def _proposed_dead_times(rows: Sequence[FreeRecord], inputs: int, p: ComplexArra
         return None
     outputs = 1 + max(int(record.outputs.max()) for record in rows)
     fed, start = np.zeros((outputs, inputs), bool), np.zeros(inputs, int)
-    each = 0.5 * float(np.log(sum(record.samples * len(record.outputs) for record in rows)))
     slowest = 6.0 / min(record.length for record in rows)
     single = np.geomspace(3 * slowest, 0.5, _LAGS)[:, None]
     several = [*(single[:-1] * [1.0, 3.0]), *(np.geomspace(slowest, 0.5, count) for count in (3, 4, 6))]
     trials, least = [], np.inf
     for rates in (single, several):
         for lags in (-np.array(row, complex) / steps[0] for row in rates):
-            without, late = _scan(rows, np.append(p, lags), fed).likeliest(start)
-            cost = each * len(lags) * inputs * outputs
-            least = min(least, cost - without.loglik)
-            trials.append((cost + each * numbers_of(late.samples) - late.loglik, late, lags))
+            scan = _scan(rows, np.append(p, lags), fed)
+            without, late = scan.likeliest(start)
+            least = min(least, scan.cost(without))
+            trials.append((scan.cost(late), late, lags))
         cost, late, lags = min(trials, key=lambda trial: trial[0])
         if cost > least - TUNING.likely:
             return None
