@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.signal import lfilter
 
-from ..._types import Array, ComplexArray, Indices, Mask
+from ..._types import Array, ComplexArray, Indices
 from ..regression.elimination import orthogonal, without
 from ..regression.modal_regressors import SampledModes
 from ..regression.time_rows import FreeRecord
@@ -60,15 +60,19 @@ class DeadTimeScan:
         Largest dead time in samples: as many samples are left out of each record.
     each : float
         What a parameter costs, as a log-likelihood.
-    fed : ndarray of bool, shape (outputs, inputs)
-        What is fed through.
+    inputs : int
+        Number of inputs.
+
+    Notes
+    -----
+    Nothing is fed through: an input that is, a sample later, is the same model with one more parameter.
     """
 
     records: Sequence[FreeRecord]
     p: ComplexArray
     most: int
     each: float
-    fed: Mask
+    inputs: int
 
     def likeliest(self, start: Indices) -> tuple[DeadTimes, DeadTimes]:
         """No dead times, and those of the best criterion from a start on, each in the noise that its model leaves."""
@@ -93,7 +97,8 @@ class DeadTimeScan:
     def cost(self, dead_times: DeadTimes) -> float:
         """Half the BIC of dead times with these poles."""
         states = len(self.p) + int(np.sum(self.p.imag != 0))
-        unknowns = numbers_of(dead_times.samples) + states * (1 + self.fed.size)
+        outputs = 1 + max(int(rows.outputs.max()) for rows in self.records)
+        unknowns = numbers_of(dead_times.samples) + states * (1 + outputs * self.inputs)
         return self.each * unknowns - dead_times.loglik
 
     @cached_property
@@ -109,13 +114,11 @@ class DeadTimeScan:
         own = [np.arange(T) ** float(k) for k in range(rows.offset)]
         if rows.moving:
             own += _parts(self.p, rows.hold.step(self.p).powers(np.arange(float(T))))
-        through = bool(self.fed[rows.outputs].any())
-        driven = np.zeros((self.fed.shape[1], len(self.p) + int(np.sum(self.p.imag != 0)) + through, T))
+        driven = np.zeros((self.inputs, len(self.p) + int(np.sum(self.p.imag != 0)), T))
         for u, i in zip(rows.u[: rows.inputs, :T], rows.acting.tolist(), strict=True):
             steps = zip(modes.multiplier, modes.b0, modes.b1, strict=True)
             responses = np.array([lfilter([b1, b0], [1.0, -lam], u) for lam, b0, b1 in steps]).reshape(-1, T)
-            fed = [u * self.fed[rows.outputs, i].any()] * through
-            driven[i] = [*_parts(self.p, responses), *fed]
+            driven[i] = [*_parts(self.p, responses)]
         return rows.measured[:, :T], np.reshape(own, (-1, T)), driven
 
 

@@ -801,7 +801,7 @@ def _in_best_dead_times(fit: FreeFit, search: _Search, drifting: bool) -> FreeFi
         before, slowest = _dead_samples(fit), fit.projection.p[np.argsort(np.abs(fit.projection.p))]
         trials = []
         for count in range(len(slowest), 0, -1):
-            scan = _scan(_of_fit(fit), slowest[:count], fit.projection.fed_through)
+            scan = _scan(_of_fit(fit), slowest[:count], len(before))
             dead = scan.refined(before, fit.noise)
             trials.append((scan.cost(dead), dead.samples, scan.p))
         if not trials:
@@ -834,10 +834,10 @@ def _of_fit(fit: FreeFit) -> list[FreeRecord]:
     return _records(fit.channels, fit.intersample, fit.offset, moving, fit.method)
 
 
-def _scan(rows: Sequence[FreeRecord], p: ComplexArray, fed: Mask) -> DeadTimeScan:
+def _scan(rows: Sequence[FreeRecord], p: ComplexArray, inputs: int) -> DeadTimeScan:
     """Dead times of inputs for some poles."""
     count = sum(record.samples * len(record.outputs) for record in rows)
-    return DeadTimeScan(rows, p, _longest_dead_time(rows), 0.5 * float(np.log(count)), fed)
+    return DeadTimeScan(rows, p, _longest_dead_time(rows), 0.5 * float(np.log(count)), inputs)
 
 
 def _longest_dead_time(rows: Sequence[FreeRecord]) -> int:
@@ -863,15 +863,14 @@ def _proposed_dead_times(rows: Sequence[FreeRecord], inputs: int, p: ComplexArra
     steps = [record.hold.h for record in rows]
     if inputs < 2 or np.ptp(steps) > EPS * max(steps) or is_short(rows[0]):
         return None
-    outputs = 1 + max(int(record.outputs.max()) for record in rows)
-    fed, start = np.zeros((outputs, inputs), bool), np.zeros(inputs, int)
+    start = np.zeros(inputs, int)
     slowest = 6.0 / min(record.length for record in rows)
     single = np.geomspace(3 * slowest, 0.5, _LAGS)[:, None]
     several = [*(single[:-1] * [1.0, 3.0]), *(np.geomspace(slowest, 0.5, count) for count in (3, 4, 6))]
     trials, least = [], np.inf
     for rates in (single, several):
         for lags in (-np.array(row, complex) / steps[0] for row in rates):
-            scan = _scan(rows, np.append(p, lags), fed)
+            scan = _scan(rows, np.append(p, lags), inputs)
             without, late = scan.likeliest(start)
             least = min(least, scan.cost(without))
             trials.append((scan.cost(late), late, lags))
