@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.signal import lfilter
 
-from ..._types import Array, ComplexArray, Indices, Mask
+from ..._types import Array, ComplexArray, Indices
 from ..regression.elimination import orthogonal, without
 from ..regression.modal_regressors import SampledModes
 from ..regression.time_rows import FreeRecord
@@ -28,14 +28,9 @@ _ROUNDS = 3  # of dead times and noise in turn
 _SAMPLES = 3000  # of each record that are looked at
 
 
-def distinct(samples: Indices) -> bool:
-    """Whether inputs have different dead times, so that no delay of the outputs says the same."""
-    return bool(np.ptp(samples))
-
-
 def numbers_of(samples: Indices) -> int:
     """Parameters of dead times: those that are not 0, or one that all inputs share."""
-    return int(np.count_nonzero(samples)) if distinct(samples) else int(samples[0] != 0)
+    return int(np.count_nonzero(samples)) if np.ptp(samples) else int(samples[0] != 0)
 
 
 @dataclass(frozen=True)
@@ -65,15 +60,19 @@ class DeadTimeScan:
         Largest dead time in samples: as many samples are left out of each record.
     each : float
         What a parameter costs, as a log-likelihood.
-    fed : ndarray of bool, shape (outputs, inputs)
-        What is fed through.
+    inputs : int
+        Number of inputs.
+
+    Notes
+    -----
+    Nothing is fed through: an input that is, a sample later, is the same model with one more parameter.
     """
 
     records: Sequence[FreeRecord]
     p: ComplexArray
     most: int
     each: float
-    fed: Mask
+    inputs: int
 
     def likeliest(self, start: Indices) -> tuple[DeadTimes, DeadTimes]:
         """No dead times, and those of the best criterion from a start on, each in the noise that its model leaves."""
@@ -90,9 +89,17 @@ class DeadTimeScan:
             judged.append(replace(problem.judged(samples), noise=noise if coloured else ()))
         return judged[0], judged[1]
 
-    def refined(self, start: Indices, noise: tuple[Array, ...]) -> Indices:
+    def refined(self, start: Indices, noise: tuple[Array, ...]) -> DeadTimes:
         """Dead times of the best criterion from a start on, in noise with these innovations filters."""
-        return self._in_noise(noise).in_turns(start)
+        problem = self._in_noise(noise)
+        return replace(problem.judged(problem.in_turns(start)), noise=noise)
+
+    def cost(self, dead_times: DeadTimes) -> float:
+        """Half the BIC of dead times with these poles."""
+        states = len(self.p) + int(np.sum(self.p.imag != 0))
+        outputs = 1 + max(int(rows.outputs.max()) for rows in self.records)
+        unknowns = numbers_of(dead_times.samples) + states * (1 + outputs * self.inputs)
+        return self.each * unknowns - dead_times.loglik
 
     @cached_property
     def _plain(self) -> _Problem:
@@ -107,13 +114,11 @@ class DeadTimeScan:
         own = [np.arange(T) ** float(k) for k in range(rows.offset)]
         if rows.moving:
             own += _parts(self.p, rows.hold.step(self.p).powers(np.arange(float(T))))
-        through = bool(self.fed[rows.outputs].any())
-        driven = np.zeros((self.fed.shape[1], len(self.p) + int(np.sum(self.p.imag != 0)) + through, T))
+        driven = np.zeros((self.inputs, len(self.p) + int(np.sum(self.p.imag != 0)), T))
         for u, i in zip(rows.u[: rows.inputs, :T], rows.acting.tolist(), strict=True):
             steps = zip(modes.multiplier, modes.b0, modes.b1, strict=True)
             responses = np.array([lfilter([b1, b0], [1.0, -lam], u) for lam, b0, b1 in steps]).reshape(-1, T)
-            fed = [u * self.fed[rows.outputs, i].any()] * through
-            driven[i] = [*_parts(self.p, responses), *fed]
+            driven[i] = [*_parts(self.p, responses)]
         return rows.measured[:, :T], np.reshape(own, (-1, T)), driven
 
 

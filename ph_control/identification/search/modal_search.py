@@ -35,7 +35,7 @@ from ..regression.variable_projection import Interrupted, Progress
 from ..uncertainty.residual_tests import all_white, is_white, ljung_box
 from .circumstances import Cause, Finding, correlations, foretold
 from .criteria import Criteria, least_gain, past_of_noise, stands_out
-from .dead_times import DeadTimeScan, distinct, numbers_of
+from .dead_times import DeadTimeScan, numbers_of
 from .free_search import FreeModel, FreeSearch, Records, Responses
 from .held_out import foretelling_order
 from .response_noise import ROUNDS, SETTLED, NoiseLaw, balanced, entry_laws
@@ -942,13 +942,14 @@ def undelayed(fit: FreeFit) -> Lateness:
 def _of_late_inputs(path: FreePath, channels: Experiments, search: _Search, drifting: bool) -> FreeFit | None:
     """The fit with inputs that act later, each by a time of its own, where a few lags already tell; None elsewhere.
 
-    It has to be likelier than what a search without dead times finds that begins with its poles and its noise.
+    It has to be likelier than what a search without dead times finds that begins with its poles and its noise, with one
+    more mode at most: more of them would come to stand for dead times one by one.
     """
     rows = [record for record in path.plain.data if isinstance(record, FreeRecord)]
     proposed = _proposed_dead_times(rows, path.felt.shape[1], np.zeros(0, complex))
     if proposed is None:
         return None
-    late_path = search.path_for(channels, late=Lateness(np.zeros(path.felt.shape[0]), proposed.times))
+    late_path = search.path_for(channels, late=_lateness_of(proposed.times, path.felt.shape[0]))
     late_path.whiten(proposed.noise, late_path.power)
     late = search.along(late_path, channels, np.append(search.begin, proposed.lags))
     try:
@@ -958,7 +959,8 @@ def _of_late_inputs(path: FreePath, channels: Experiments, search: _Search, drif
     if late.interrupted:
         return late
     path.whiten(late.noise, path.power)
-    return _likelier_late(late, search.along(path, channels, late.projection.p))
+    rival = replace(search, most=min(search.most, late.order + search.automatic))
+    return _likelier_late(late, rival.along(path, channels, late.projection.p))
 
 
 def _with_dead_times(fit: FreeFit, anew: Anew, search: _Search, drifting: bool) -> FreeFit | None:
@@ -973,7 +975,7 @@ def _with_dead_times(fit: FreeFit, anew: Anew, search: _Search, drifting: bool) 
     proposed = _proposed_dead_times(_of_fit(fit), len(fit.input_delay), p[~mimics]) if not mimics.all() else None
     if proposed is None:  # lags alone were looked at before
         return None
-    late = anew(Lateness(np.zeros_like(fit.delay), proposed.times), fit.offset, None)
+    late = anew(_lateness_of(proposed.times, len(fit.delay)), fit.offset, None)
     return _likelier_late(_in_best_dead_times(late, search, drifting), fit)
 
 
@@ -990,20 +992,39 @@ def _likelier_late(late: FreeFit, on_time: FreeFit) -> FreeFit | None:
 
 
 def _in_best_dead_times(fit: FreeFit, search: _Search, drifting: bool) -> FreeFit:
-    """The fit with the dead times that are the likeliest for its poles and its noise, and poles for these."""
+    """The fit with the dead times that are the likeliest for its slowest poles and its noise, and poles for these.
+
+    Fast poles may stand for a part of a dead time.
+    """
     for _ in range(_SCANS):
-        step = fit.channels[0].dt
-        scan = _scan(_of_fit(fit), fit.projection.p, fit.projection.fed_through)
-        samples = scan.refined(np.rint(fit.input_delay / step).astype(int), fit.noise)
-        if not distinct(samples) or np.array_equal(step * samples, fit.input_delay):
+        before, slowest = _dead_samples(fit), fit.projection.p[np.argsort(np.abs(fit.projection.p))]
+        trials = []
+        for count in range(len(slowest), 0, -1):
+            scan = _scan(_of_fit(fit), slowest[:count], len(before))
+            dead = scan.refined(before, fit.noise)
+            trials.append((scan.cost(dead), dead.samples, scan.p))
+        if not trials:
             break
-        again = _searches_anew(fit, search, drifting)(
-            Lateness(np.zeros_like(fit.delay), step * samples), fit.offset, fit.projection.p
-        )
+        _, samples, p = min(trials, key=lambda trial: trial[0])
+        if np.array_equal(samples, before) and len(p) == len(slowest):
+            break
+        lateness = _lateness_of(fit.channels[0].dt * samples, len(fit.delay))
+        again = _searches_anew(fit, search, drifting)(lateness, fit.offset, p)
         if _criterion(again) >= _criterion(fit):
             break
         fit = again
     return fit
+
+
+def _lateness_of(times: Array, outputs: int) -> Lateness:
+    """Delays that have these dead times of the inputs: what all inputs share is one of the outputs."""
+    common = 0.0 if np.ptp(times) else float(times[0])
+    return Lateness(np.full(outputs, common), times - common)
+
+
+def _dead_samples(fit: FreeFit) -> Indices:
+    """Samples by which each input acts later, with what all outputs are late by."""
+    return np.asarray(np.rint((fit.input_delay + fit.delay.min()) / fit.channels[0].dt), int)
 
 
 def _of_fit(fit: FreeFit) -> list[FreeRecord]:
@@ -1012,10 +1033,10 @@ def _of_fit(fit: FreeFit) -> list[FreeRecord]:
     return _records(fit.channels, fit.intersample, fit.offset, moving, fit.method)
 
 
-def _scan(rows: Sequence[FreeRecord], p: ComplexArray, fed: Mask) -> DeadTimeScan:
+def _scan(rows: Sequence[FreeRecord], p: ComplexArray, inputs: int) -> DeadTimeScan:
     """Dead times of inputs for some poles."""
     count = sum(record.samples * len(record.outputs) for record in rows)
-    return DeadTimeScan(rows, p, _longest_dead_time(rows), 0.5 * float(np.log(count)), fed)
+    return DeadTimeScan(rows, p, _longest_dead_time(rows), 0.5 * float(np.log(count)), inputs)
 
 
 def _longest_dead_time(rows: Sequence[FreeRecord]) -> int:
@@ -1036,37 +1057,33 @@ def _proposed_dead_times(rows: Sequence[FreeRecord], inputs: int, p: ComplexArra
     """Times by which inputs act later, that some modes and a few lags are likelier with by far than any without.
 
     A lag of second order looks like one of first order and a dead time: more lags without dead times have to be less
-    likely as well.  None where there are no such times, or where they are a delay of the outputs.
+    likely as well.  None where there are no such times.
     """
     steps = [record.hold.h for record in rows]
     if inputs < 2 or np.ptp(steps) > EPS * max(steps) or is_short(rows[0]):
         return None
-    outputs = 1 + max(int(record.outputs.max()) for record in rows)
-    fed, start = np.zeros((outputs, inputs), bool), np.zeros(inputs, int)
-    each = 0.5 * float(np.log(sum(record.samples * len(record.outputs) for record in rows)))
+    start = np.zeros(inputs, int)
     slowest = 6.0 / min(record.length for record in rows)
     single = np.geomspace(3 * slowest, 0.5, _LAGS)[:, None]
     several = [*(single[:-1] * [1.0, 3.0]), *(np.geomspace(slowest, 0.5, count) for count in (3, 4, 6))]
     trials, least = [], np.inf
     for rates in (single, several):
         for lags in (-np.array(row, complex) / steps[0] for row in rates):
-            without, late = _scan(rows, np.append(p, lags), fed).likeliest(start)
-            cost = each * len(lags) * inputs * outputs
-            least = min(least, cost - without.loglik)
-            trials.append((cost + each * numbers_of(late.samples) - late.loglik, late, lags))
+            scan = _scan(rows, np.append(p, lags), inputs)
+            without, late = scan.likeliest(start)
+            least = min(least, scan.cost(without))
+            trials.append((scan.cost(late), late, lags))
         cost, late, lags = min(trials, key=lambda trial: trial[0])
         if cost > least - TUNING.likely:
             return None
-    times = np.asarray(steps[0] * late.samples)
-    return _Proposal(times, lags.astype(complex), late.noise) if distinct(late.samples) else None
+    return _Proposal(np.asarray(steps[0] * late.samples), lags.astype(complex), late.noise)
 
 
 def _criterion(fit: FreeFit) -> float:
     """BIC over the samples that the longest dead times leave to all fits, with these among the parameters."""
     rows = _records(fit.channels, fit.intersample, fit.offset, _of_fit(fit)[0].moving, fit.method, fit.lateness)
-    dead = np.rint(fit.input_delay / fit.channels[0].dt).astype(int)
-    most = _longest_dead_time(rows) - int(dead.max(initial=0))
-    rows = [row.delayed(row.delay_time, 0.0, most * row.hold.h) for row in rows]
+    most = _longest_dead_time(rows) * fit.channels[0].dt - float(fit.input_delay.max(initial=0.0))
+    rows = [row.delayed(row.delay_time, 0.0, most) for row in rows]
     shown = Records(rows).whitened(fit.noise).data if fit.noise else rows
     counts = np.zeros(len(fit.scales))
     for row in shown:
@@ -1074,7 +1091,7 @@ def _criterion(fit: FreeFit) -> float:
     losses = np.maximum(FreeProjection(shown, fit.projection.p, fit.projection.fed).losses, np.finfo(float).tiny)
     whole = float(fit.projection.rows)
     loglik = -0.5 * whole / counts.sum() * float(counts @ np.log(losses / counts))
-    return (fit.unknowns + numbers_of(dead)) * float(np.log(whole)) - 2 * loglik
+    return (fit.unknowns + numbers_of(_dead_samples(fit))) * float(np.log(whole)) - 2 * loglik
 
 
 def _on_time(fit: FreeFit, anew: Anew) -> FreeFit:
