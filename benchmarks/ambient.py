@@ -241,7 +241,7 @@ def peers() -> dict[str, Peer]:
         return of
 
     def plscf(structure: Structure, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        algorithm = pLSCF(name="peer", ordmax=14, nxseg=512)
+        algorithm = pLSCF(name="peer", ordmax=16, nxseg=512)
         return told(algorithm, structure, y, 14, "order")
 
     return {
