@@ -23,8 +23,10 @@ from .missing_mode import missing_mode
 from .noise_sections import NoiseSections
 
 Start = tuple[Problem, Point]  # the data, and a model without forces
+Orders = tuple[int, int]  # smallest and largest number of modes
 
 KINDS = ("correlated", "forces")
+AS_FITTED = 0, 0  # modes that are known
 _LEVEL = 1e-3  # probability that white noise of its own at each output looks as if there were more to it
 _SCREEN = 0.05  # of the score test that comes before, whose law holds for long records
 _UNKNOWNS = 600  # at most,
@@ -82,7 +84,7 @@ class FittedNoise:
         return np.asarray(self.covariance / np.outer(sizes, sizes))
 
 
-def beside_forces(free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = False, most: int = 0) -> FreeFit:
+def beside_forces(free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = False, orders: Orders = AS_FITTED) -> FreeFit:
     """The fit in noise that outputs share, or that comes through the plant, where white noise is far less likely.
 
     Parameters
@@ -93,8 +95,8 @@ def beside_forces(free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = F
         What is looked for.
     certain : bool
         Whether the last of the `kinds` is taken as given, and not tested.
-    most : int
-        Largest number of modes; 0 where it is not open.
+    orders : pair of int
+        Smallest and largest number of modes that are looked for; none, 0 and 0, where the modes are known.
 
     Returns
     -------
@@ -103,7 +105,7 @@ def beside_forces(free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = F
         not allow the likelihood: responses, missing samples, poles that do not decay, more unknowns than 600.
     """
     try:
-        fitted = _beside_forces(free, kinds, certain, most)
+        fitted = _beside_forces(free, kinds, certain, orders)
     except KeyboardInterrupt:
         return replace(free, interrupted=True)
     if fitted is free:
@@ -112,7 +114,7 @@ def beside_forces(free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = F
     return fitted.with_rival(lambda rival: _beside_forces(rival, kind, True))
 
 
-def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, most: int = 0) -> FreeFit:
+def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: Orders = AS_FITTED) -> FreeFit:
     rows = _rows(free)
     start = None if rows is None else _start(free, rows, free.projection.p)
     if start is None or rows is None:
@@ -127,7 +129,7 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, most: int
                 best = shared
     begin = start if best is None else (start[0], best.evaluation.point)
     if "forces" in kinds and (certain or _score(*begin) < _SCREEN):
-        forced = _forced(free, rows, start, most)
+        forced = _forced(free, rows, start, orders)
         if certain or _shows_forces(free, rows, forced, best):
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
@@ -135,24 +137,28 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, most: int
     return _in_noise(free, best, alone, certain)
 
 
-def _forced(free: FreeFit, rows: Sequence[FreeRecord], start: Start, most: int) -> Minimum:
-    """The minimum beside forces: with the same modes, or with those that the BIC prefers, at `most` so many.
+def _forced(free: FreeFit, rows: Sequence[FreeRecord], start: Start, orders: Orders) -> Minimum:
+    """The minimum beside forces: with the same modes, or with those that the BIC prefers of so many.
 
     In white noise modes more than there are stand for what forces do: so the search begins with the strongest alone.
     """
     table = sorted((row for row in free.order_table if row.order > 0), key=lambda row: row.order)
+    fewest, most = orders
     if not most or not table:
         return minimise(*start, steps=_STEPS)
     lags = free.projection.p[free.projection.p.imag == 0]
     begin = _start(free, rows, np.concatenate([table[0].poles, lags])) or start
     best = minimise(*begin, _ROUGH, _FEW)
-    while best.evaluation.point.noise.pairs < most:
-        pole = missing_mode(best.evaluation, _PROMISING * _charge(best))
+    while (modes := best.evaluation.point.noise.pairs) < most:
+        pole = missing_mode(best.evaluation, _PROMISING * _charge(best) if modes >= fewest else -np.inf)
         wider = None if pole is None else minimise(*_with_mode(best, pole), _ROUGH, _FEW)
-        if wider is None or _bic(wider) >= _bic(best):
+        if wider is None or (modes >= fewest and _bic(wider) >= _bic(best)):
             break
         best = wider
-    return _of_fewer_modes(minimise(best.evaluation.problem, best.evaluation.point, steps=_STEPS))
+    best = minimise(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
+    if fewest == most:
+        return min(best, minimise(*start, steps=_STEPS), key=_bic)
+    return _of_fewer_modes(best)
 
 
 def _charge(best: Minimum) -> float:

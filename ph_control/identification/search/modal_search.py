@@ -217,7 +217,7 @@ def free_fit(
     delay: Array | None = None,
     method: str = "exact",
     doubted: bool = True,
-    beside: Callable[..., FreeFit] = lambda fit, most: fit,
+    beside: Callable[..., FreeFit] = lambda fit, orders: fit,
 ) -> FreeFit:
     """Fit modes of any damping and residues to all channels, from nothing or from some poles.
 
@@ -262,7 +262,7 @@ def free_fit(
         Whether lines of a response that are far larger than those about them may be left out, where the BIC prefers
         values of their own to modes that explain them.
     beside : callable, optional
-        Called with the first fit and the largest number of modes, 0 where it is not open, to give the fit in noise of
+        Called with the first fit and the smallest and largest number of modes to look for, to give the fit in noise of
         another kind, and once more where white noise shows drifts or delays.
 
     Returns
@@ -313,7 +313,8 @@ def free_fit(
         fit = _from_peaks(fit, path, search)
     if automatic and real_poles in ("auto", 0) and not fit.interrupted:
         fit = _of_few_lines(fit, path.of_few_lines(), min(max_order, path.carried))
-    in_noise = partial(beside, most=min(max_order, path.carried) if automatic else 0)
+    orders = (0, min(max_order, path.carried)) if automatic else (most, most) if start is None else (0, 0)
+    in_noise = partial(beside, orders=orders)
     forced = fit if fit.interrupted else in_noise(fit)
     alone = fit.with_delay_open(delay is None)
     if forced.interrupted:
