@@ -14,7 +14,7 @@ from ..data.channels import Recording
 from ..regression.free import FreeProjection
 from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
-from ..search.circumstances import Cause, Finding
+from ..search.circumstances import Cause, Finding, foretold
 from ..search.criteria import Criteria
 from ..search.modal_search import FreeFit
 from .joint import JointProjection, Quadratic
@@ -34,6 +34,7 @@ _NUMBERS = 1 << 28  # and those of a Jacobian: a few seconds a step
 _SPARE = 4  # samples of all outputs for each unknown
 _LEAST_DECAY = 0.05  # bins: noise through a pole that decays more slowly never settles
 _STEPS = 40
+_LONGEST_PAST = 64  # samples that noise of an output may depend on
 _ROUGH, _FEW = 1.0, 12  # tolerance and steps of a minimisation on the way
 _PROMISING = 0.5  # of what the BIC charges for a mode: what its window has to gain
 
@@ -101,15 +102,15 @@ def beside_forces(free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = F
     Returns
     -------
     FreeFit
-        The same where the test of probability 1e-3 does not object to noise of each output, or where the record does
+        Without `beside` where the test of probability 1e-3 does not object to noise of each output, or where the record does
         not allow the likelihood: responses, missing samples, poles that do not decay, more unknowns than 600.
     """
     try:
         fitted = _beside_forces(free, kinds, certain, orders)
     except KeyboardInterrupt:
         return replace(free, interrupted=True)
-    if fitted is free:
-        return free
+    if fitted.beside is None:
+        return fitted
     kind = KINDS[-1:] if fitted.beside.is_coloured else KINDS[:1]
     return fitted.with_rival(lambda rival: _beside_forces(rival, kind, True))
 
@@ -134,6 +135,8 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
         return free
+    if not certain and (filters := _own_noise(best.evaluation)):
+        return replace(free, own_noise=filters)
     return _in_noise(free, best, alone, certain)
 
 
@@ -185,6 +188,27 @@ def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, sh
     charge = more * float(np.log(forced.evaluation.problem.samples * p))
     gain = white - forced.evaluation.cost
     return gain > charge and _is_likelier(white, forced.evaluation.cost, more)
+
+
+def _own_noise(evaluation: Evaluation) -> tuple[Array, ...]:
+    """Innovations filters of autoregressive noise of each output; none where this is less likely by the BIC."""
+    problem, noise, p = evaluation.problem, evaluation.point.noise, evaluation.p
+    samples, shortest = problem.samples, min(experiment.samples for experiment in problem.experiments)
+    charge, most = float(np.log(samples * p)), min(_LONGEST_PAST, shortest // 4)
+    products = np.zeros((p, most + 1))
+    for experiment, left in zip(problem.experiments, evaluation.left, strict=True):
+        # without the constant, which slow noise can hardly be told from
+        power = np.abs(left) ** 2 * (experiment.z != 1)
+        products += np.fft.irfft(power, experiment.samples)[:, : most + 1] * experiment.samples
+    cost, filters = 0.0, list[Array]()
+    for product in products:
+        models, variances = foretold(product)
+        size = np.log(variances * product[0] / samples) + 1 + np.log(2 * np.pi)
+        costs = samples * size + charge * np.arange(len(variances))
+        cost += float(costs.min())
+        filters.append(np.concatenate([[1.0], -models[int(np.argmin(costs))]]))
+    unknowns = p * (p - 1) // 2 + (noise.unknowns if problem.coloured else 0)
+    return tuple(filters) if cost <= evaluation.cost + unknowns * charge else ()
 
 
 def _of_fewer_modes(best: Minimum) -> Minimum:

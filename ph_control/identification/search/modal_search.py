@@ -115,6 +115,8 @@ class FreeFit(Frozen):
         Whether modes of responses overlap so much that they were found all at once, by a common denominator.
     beside : FittedNoise or None
         Noise that outputs share, or that comes through the plant, with which the minimum is a joint one.
+    own_noise : tuple of ndarray
+        Innovations filters of noise of each output that explains more than such noise does, where there is colour.
     """
 
     projection: FreeProjection
@@ -135,6 +137,7 @@ class FreeFit(Frozen):
     noise: tuple[Array, ...] = ()
     crowded: bool = False
     beside: Any = None
+    own_noise: tuple[Array, ...] = ()
 
     @property
     def per_entry(self) -> bool:
@@ -316,11 +319,21 @@ def free_fit(
     orders = (0, min(max_order, path.carried)) if automatic else (most, most) if start is None else (0, 0)
     in_noise = partial(beside, orders=orders)
     forced = fit if fit.interrupted else in_noise(fit)
-    alone = fit.with_delay_open(delay is None)
     if forced.interrupted:
         return forced
+    if forced.own_noise and automatic and not fit.noise:
+        fit = _in_own_noise(fit, forced.own_noise, search, path)
+    alone = fit.with_delay_open(delay is None)
     changed = _beside_all_else(alone, search, weighted, offset == "auto")
     return changed if forced.beside is None else _in_likelier_rows(forced, changed, in_noise, offset == "auto")
+
+
+def _in_own_noise(fit: FreeFit, filters: tuple[Array, ...], search: _Search, path: FreePath) -> FreeFit:
+    """The fit that grows together with coloured noise of each output, if it is likelier."""
+    path.whiten(filters, path.power)
+    path.best = None
+    again = search.along(path, fit.channels)
+    return again if again.interrupted or again.criteria.bic < fit.criteria.bic else fit
 
 
 def _in_likelier_rows(
