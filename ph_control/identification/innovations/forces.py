@@ -29,6 +29,8 @@ KINDS = ("correlated", "forces")
 AS_FITTED = 0, 0  # modes that are known
 _LEVEL = 1e-3  # probability that white noise of its own at each output looks as if there were more to it
 _SCREEN = 0.05  # of the score test that comes before, whose law holds for long records
+_HINT = 0.25  # of what the BIC asks for, which one step promises at least
+_NOTED = 0.5  # of that for each mode, which residuals in a window about one promise
 _UNKNOWNS = 600  # at most,
 _NUMBERS = 1 << 28  # and those of a Jacobian: a few seconds a step
 _SPARE = 4  # samples of all outputs for each unknown
@@ -129,7 +131,7 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
             if certain or _is_likelier(alone, shared.evaluation.cost, outputs * (outputs - 1) // 2):
                 best = shared
     begin = start if best is None else (start[0], best.evaluation.point)
-    if "forces" in kinds and (certain or _score(*begin) < _SCREEN):
+    if "forces" in kinds and (certain or _hints_at_forces(*begin)):
         forced = _forced(free, rows, start, orders)
         if certain or _shows_forces(free, rows, forced, best):
             best = forced
@@ -380,8 +382,20 @@ def _are_correlated(white: Evaluation) -> bool:
     return bool(chdtrc(p * (p - 1) // 2, -white.problem.samples * determinant) < _SCREEN)
 
 
+def _hints_at_forces(problem: Problem, point: Point) -> bool:
+    """Whether one step of the gains, all other numbers moving along, promises some of what the BIC asks for.
+
+    That is not looked at where the residuals about no mode are unlike white noise.
+    """
+    charge = point.noise.unknowns * float(np.log(problem.samples * len(point.noise.C)))
+    if missing_mode(replace_colour(problem, False).at(point), _NOTED * charge / max(1, point.noise.pairs)) is None:
+        return False
+    ratio = _score(problem, point)
+    return ratio > _HINT * charge and chdtrc(point.noise.K.size, ratio) < _SCREEN
+
+
 def _score(problem: Problem, point: Point) -> float:
-    """Probability of what one step of the gains promises, all other numbers moving along, if noise is white."""
+    """Twice the log-likelihood that one step of the gains promises beside white noise, all others moving along."""
     evaluation, noise = problem.at(point), point.noise
     gram, gradient = evaluation.normal
     first = len(noise.sections.x)
@@ -393,8 +407,7 @@ def _score(problem: Problem, point: Point) -> float:
     moved = np.linalg.pinv(gram[np.ix_(others, others)], rcond=1e-12, hermitian=True) @ gram[np.ix_(others, gains)]
     inner = gram[np.ix_(gains, gains)] - gram[np.ix_(gains, others)] @ moved
     slope = gradient[gains] - moved.T @ gradient[others]
-    ratio = float(slope @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ slope)
-    return float(chdtrc(len(gains), ratio))
+    return float(slope @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ slope)
 
 
 def _is_likelier(before: float, after: float, more: int) -> bool:
