@@ -168,7 +168,7 @@ def fit_channels(
     return of_outputs_alone(recordings, request, options, order, of_modes)
 
 
-def _in_noise_of(noise: str, fit: FreeFit, most: int) -> FreeFit:
+def _in_noise_of(noise: str, fit: FreeFit, orders: tuple[int, int]) -> FreeFit:
     """A fit in the noise that is given, or the likeliest; where hits act in a part of a record, noise may change."""
     records = [rows for rows in fit.projection.experiments if isinstance(rows, FreeRecord)]
     if any(rows.level is not None for rows in records):
@@ -176,8 +176,8 @@ def _in_noise_of(noise: str, fit: FreeFit, most: int) -> FreeFit:
     if noise == "auto":
         if any(is_short(rows) for rows in records):
             return fit
-        return beside_forces(fit, most=most)
-    return beside_forces(fit, (noise,), certain=True, most=most) if noise in KINDS else fit
+        return beside_forces(fit, orders=orders)
+    return beside_forces(fit, (noise,), certain=True, orders=orders) if noise in KINDS else fit
 
 
 def _of_modes_and_inputs(

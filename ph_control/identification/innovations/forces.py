@@ -15,7 +15,7 @@ from ..data.channels import Recording
 from ..regression.free import FreeProjection
 from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
-from ..search.circumstances import Cause, Finding
+from ..search.circumstances import Cause, Finding, foretold
 from ..search.criteria import Criteria
 from ..search.modal_search import FreeFit
 from ..uncertainty.noise_model import NoiseModel
@@ -25,16 +25,21 @@ from .missing_mode import missing_mode
 from .noise_sections import NoiseSections
 
 Start = tuple[Problem, Point]  # the data, and a model without forces
+Orders = tuple[int, int]  # smallest and largest number of modes
 
 KINDS = ("correlated", "forces")
+AS_FITTED = 0, 0  # modes that are known
 _LEVEL = 1e-3  # probability that white noise of its own at each output looks as if there were more to it
 _SCREEN = 0.05  # of the score test that comes before, whose law holds for long records
+_HINT = 0.25  # of what the BIC asks for, which one step promises at least
+_NOTED = 0.5  # of that for each mode, which residuals in a window about one promise
 _UNKNOWNS = 600  # at most,
 _NUMBERS = 1 << 28  # and those of a Jacobian: a few seconds a step
 _SPARE = 4  # samples of all outputs for each unknown
 _LEAST_DECAY = 0.05  # bins: noise through a pole that decays more slowly never settles
 _STEPS = 40
 _SINGULAR = 1e-6  # smallest eigenvalue of the correlations: outputs so nearly alike leave no covariance to weigh by
+_LONGEST_PAST = 64  # samples that noise of an output may depend on
 _ROUGH, _FEW = 1.0, 12  # tolerance and steps of a minimisation on the way
 _PROMISING = 0.5  # of what the BIC charges for a mode: what its window has to gain
 
@@ -94,7 +99,9 @@ class FittedNoise:
         return np.asarray(self.covariance / np.outer(sizes, sizes))
 
 
-def beside_forces(free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = False, most: int = 0) -> FreeFit:
+def beside_forces(
+    free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = False, orders: Orders = AS_FITTED
+) -> FreeFit:
     """The fit in noise that outputs share, or that comes through the plant, where white noise is far less likely.
 
     Parameters
@@ -105,21 +112,22 @@ def beside_forces(free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = F
         What is looked for.
     certain : bool
         Whether the last of the `kinds` is taken as given, and not tested.
-    most : int
-        Largest number of modes; 0 where it is not open.
+    orders : pair of int
+        Smallest and largest number of modes that are looked for; none, 0 and 0, where the modes are known.
 
     Returns
     -------
     FreeFit
-        The same where the test of probability 1e-3 does not object to noise of each output, or where the record does
-        not allow the likelihood: responses, missing samples, poles that do not decay, more unknowns than 600.
+        Without `beside` where the test of probability 1e-3 does not object to noise of each output, or where the
+        record does not allow the likelihood: responses, missing samples, poles that do not decay, more unknowns than
+        600.
     """
     try:
-        fitted = _beside_forces(free, kinds, certain, most)
+        fitted = _beside_forces(free, kinds, certain, orders)
     except KeyboardInterrupt:
         return replace(free, interrupted=True)
-    if fitted is free:
-        return free
+    if fitted.beside is None:
+        return fitted
     kind = KINDS[-1:] if fitted.beside.is_coloured else KINDS[:1]
     return fitted.with_rival(lambda rival: _beside_forces(rival, kind, True))
 
@@ -151,7 +159,7 @@ def beside_known_forces(free: FreeFit, noise: NoiseSections) -> FreeFit:
     return forced.with_rival(lambda rival: beside_known_forces(rival, noise))
 
 
-def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, most: int = 0) -> FreeFit:
+def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: Orders = AS_FITTED) -> FreeFit:
     rows = _rows(free)
     start = None if rows is None else _start(free, rows, free.projection.p)
     if start is None or rows is None:
@@ -165,33 +173,39 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, most: int
             if certain or _is_likelier(alone, shared.evaluation.cost, outputs * (outputs - 1) // 2):
                 best = shared
     begin = start if best is None else (start[0], best.evaluation.point)
-    if "forces" in kinds and (certain or _score(*begin) < _SCREEN):
-        forced = _forced(free, rows, start, most)
+    if "forces" in kinds and (certain or _hints_at_forces(*begin)):
+        forced = _forced(free, rows, start, orders)
         if certain or _shows_forces(free, rows, forced, best):
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
         return free
+    if not certain and (filters := _own_noise(best.evaluation)):
+        return replace(free, own_noise=filters)
     return _in_noise(free, best, alone, certain)
 
 
-def _forced(free: FreeFit, rows: Sequence[FreeRecord], start: Start, most: int) -> Minimum:
-    """The minimum beside forces: with the same modes, or with those that the BIC prefers, at `most` so many.
+def _forced(free: FreeFit, rows: Sequence[FreeRecord], start: Start, orders: Orders) -> Minimum:
+    """The minimum beside forces: with the same modes, or with those that the BIC prefers of so many.
 
     In white noise modes more than there are stand for what forces do: so the search begins with the strongest alone.
     """
     table = sorted((row for row in free.order_table if row.order > 0), key=lambda row: row.order)
+    fewest, most = orders
     if not most or not table:
         return _followed(*start, steps=_STEPS)
     lags = free.projection.p[free.projection.p.imag == 0]
     begin = _start(free, rows, np.concatenate([table[0].poles, lags])) or start
     best = _followed(*begin, _ROUGH, _FEW)
-    while best.evaluation.point.noise.pairs < most:
-        pole = missing_mode(best.evaluation, _PROMISING * _charge(best))
+    while (modes := best.evaluation.point.noise.pairs) < most:
+        pole = missing_mode(best.evaluation, _PROMISING * _charge(best) if modes >= fewest else -np.inf)
         wider = None if pole is None else _followed(*_with_mode(best, pole), _ROUGH, _FEW)
-        if wider is None or _bic(wider) >= _bic(best):
+        if wider is None or (modes >= fewest and _bic(wider) >= _bic(best)):
             break
         best = wider
-    return _of_fewer_modes(_followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS))
+    best = _followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
+    if fewest == most:
+        return min(best, _followed(*start, steps=_STEPS), key=_bic)
+    return _of_fewer_modes(best)
 
 
 def _charge(best: Minimum) -> float:
@@ -218,6 +232,27 @@ def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, sh
     charge = more * float(np.log(forced.evaluation.problem.samples * p))
     gain = white - forced.evaluation.cost
     return gain > charge and _is_likelier(white, forced.evaluation.cost, more)
+
+
+def _own_noise(evaluation: Evaluation) -> tuple[Array, ...]:
+    """Innovations filters of autoregressive noise of each output; none where this is less likely by the BIC."""
+    problem, noise, p = evaluation.problem, evaluation.point.noise, evaluation.p
+    samples, shortest = problem.samples, min(experiment.samples for experiment in problem.experiments)
+    charge, most = float(np.log(samples * p)), min(_LONGEST_PAST, shortest // 4)
+    products = np.zeros((p, most + 1))
+    for experiment, left in zip(problem.experiments, evaluation.left, strict=True):
+        # without the constant, which slow noise can hardly be told from
+        power = np.abs(left) ** 2 * (experiment.z != 1)
+        products += np.fft.irfft(power, experiment.samples)[:, : most + 1] * experiment.samples
+    cost, filters = 0.0, list[Array]()
+    for product in products:
+        models, variances = foretold(product)
+        size = np.log(variances * product[0] / samples) + 1 + np.log(2 * np.pi)
+        costs = samples * size + charge * np.arange(len(variances))
+        cost += float(costs.min())
+        filters.append(np.concatenate([[1.0], -models[int(np.argmin(costs))]]))
+    unknowns = p * (p - 1) // 2 + (noise.unknowns if problem.coloured else 0)
+    return tuple(filters) if cost <= evaluation.cost + unknowns * charge else ()
 
 
 def _of_fewer_modes(best: Minimum) -> Minimum:
@@ -397,8 +432,20 @@ def _are_correlated(white: Evaluation) -> bool:
     return bool(chdtrc(p * (p - 1) // 2, -white.problem.samples * determinant) < _SCREEN)
 
 
+def _hints_at_forces(problem: Problem, point: Point) -> bool:
+    """Whether one step of the gains, all other numbers moving along, promises some of what the BIC asks for.
+
+    That is not looked at where the residuals about no mode are unlike white noise.
+    """
+    charge = point.noise.unknowns * float(np.log(problem.samples * len(point.noise.C)))
+    if missing_mode(replace_colour(problem, False).at(point), _NOTED * charge / max(1, point.noise.pairs)) is None:
+        return False
+    ratio = _score(problem, point)
+    return ratio > _HINT * charge and chdtrc(point.noise.K.size, ratio) < _SCREEN
+
+
 def _score(problem: Problem, point: Point) -> float:
-    """Probability of what one step of the gains promises, all other numbers moving along, if noise is white."""
+    """Twice the log-likelihood that one step of the gains promises beside white noise, all others moving along."""
     evaluation, noise = problem.at(point), point.noise
     gram, gradient = evaluation.normal
     first = len(noise.sections.x)
@@ -410,8 +457,7 @@ def _score(problem: Problem, point: Point) -> float:
     moved = np.linalg.pinv(gram[np.ix_(others, others)], rcond=1e-12, hermitian=True) @ gram[np.ix_(others, gains)]
     inner = gram[np.ix_(gains, gains)] - gram[np.ix_(gains, others)] @ moved
     slope = gradient[gains] - moved.T @ gradient[others]
-    ratio = float(slope @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ slope)
-    return float(chdtrc(len(gains), ratio))
+    return float(slope @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ slope)
 
 
 def _is_likelier(before: float, after: float, more: int) -> bool:

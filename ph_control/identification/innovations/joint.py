@@ -100,6 +100,11 @@ class JointProjection(GivenResidues):
     def sensitivities(self) -> Iterator[Sensitivity]:
         """All outputs, what the distance leaves, and its derivatives by poles and shared unknowns."""
         root, n = self.quadratic.root, len(self.p)
+        if not np.isfinite(self.loss):
+            # other poles than those at the minimum: a model that no step goes to
+            root = np.zeros((len(root), 2 * n + self.shared.size))
+            yield list(range(self.shared.shape[1])), np.zeros(len(root)), root[:, : 2 * n], root[:, 2 * n :]
+            return
         yield list(range(self.shared.shape[1])), root @ self._moved, root[:, : 2 * n], root[:, 2 * n :]
 
     def covariance(self, variance: float) -> Array:

@@ -127,6 +127,8 @@ class FreeFit(Frozen):
         Noise that outputs share, or that comes through the plant, with which the minimum is a joint one.
     filters : tuple of ndarray
         Innovations filter of the noise of each output that residuals show afterwards; none where `noise` has it all.
+    own_noise : tuple of ndarray
+        Innovations filters of noise of each output that explains more than such noise does, where there is colour.
     """
 
     projection: FreeProjection
@@ -149,6 +151,7 @@ class FreeFit(Frozen):
     crowded: bool = False
     beside: Any = None
     filters: tuple[Array, ...] = ()
+    own_noise: tuple[Array, ...] = ()
 
     @property
     def per_entry(self) -> bool:
@@ -242,7 +245,7 @@ def free_fit(
     input_delay: Array | None = None,
     method: str = "exact",
     doubted: bool = True,
-    beside: Callable[..., FreeFit] = lambda fit, most: fit,
+    beside: Callable[..., FreeFit] = lambda fit, orders: fit,
     white: bool = False,
 ) -> FreeFit:
     """Fit modes of any damping and residues to all channels, from nothing or from some poles.
@@ -291,7 +294,7 @@ def free_fit(
         Whether lines of a response that are far larger than those about them may be left out, where the BIC prefers
         values of their own to modes that explain them.
     beside : callable, optional
-        Called with the first fit and the largest number of modes, 0 where it is not open, to give the fit in noise of
+        Called with the first fit and the smallest and largest number of modes to look for, to give the fit in noise of
         another kind, and once more where white noise shows drifts or delays.
     white : bool
         Whether the noise of each output is taken as white.
@@ -374,14 +377,24 @@ def free_fit(
         fit = _of_few_lines(fit, path.of_few_lines(), min(max_order, path.carried))
     # what modes that are missing leave says nothing of the noise
     short = automatic and fit.order >= most
-    most = min(max_order, path.carried) if automatic else 0
-    in_noise: Beside = (lambda fit: fit) if short else partial(beside, most=most)
+    orders = (0, min(max_order, path.carried)) if automatic else (most, most) if start is None else (0, 0)
+    in_noise: Beside = (lambda fit: fit) if short else partial(beside, orders=orders)
     forced = fit if fit.interrupted else in_noise(fit)
-    alone = fit.with_delay_open(delay is None)
     if forced.interrupted:
         return forced
+    if forced.own_noise and automatic and not fit.noise:
+        fit = _in_own_noise(fit, forced.own_noise, search, path)
+    alone = fit.with_delay_open(delay is None)
     changed = _beside_all_else(alone, search, weighted, offset == "auto", dead)
     return changed if forced.beside is None else _in_likelier_rows(forced, changed, in_noise, offset == "auto")
+
+
+def _in_own_noise(fit: FreeFit, filters: tuple[Array, ...], search: _Search, path: FreePath) -> FreeFit:
+    """The fit that grows together with coloured noise of each output, if it is likelier."""
+    path.whiten(filters, path.power)
+    path.best = None
+    again = search.along(path, fit.channels)
+    return again if again.interrupted or again.criteria.bic < fit.criteria.bic else fit
 
 
 def _in_likelier_rows(forced: FreeFit, changed: FreeFit, in_noise: Beside, drifting: bool) -> FreeFit:
