@@ -16,6 +16,7 @@ FOLDERS = {
     "identification.fit": "pem and its result",
     "identification.structure": "fits with a structure",
     "identification.diagnosis": "tests of a fit, verdict",
+    "identification.innovations": "noise through the plant",
     "identification.search": "order, initial estimates",
     "identification.excitation": "parameters that inputs excite",
     "identification.uncertainty": "noise, covariance, draws",

@@ -5,8 +5,6 @@ import pytest
 from scipy.signal import lfilter
 
 import ph_control as phc
-from ph_control.identification.regression.time_rows import FreeRecord
-from ph_control.modal.discretization import Hold
 
 STEP, SAMPLES = 0.3, 900
 POLES = np.array([-0.01 + 1j, -0.03 + 2j])
@@ -134,15 +132,3 @@ def test_missing_samples_and_a_delay_go_with_changing_noise():
     assert {"CHANGING_NOISE", "DELAY"} <= names and result.order == 2
     assert abs(result.delay[0] - late * STEP) < 0.3 * STEP
     np.testing.assert_allclose(result.natural_frequencies, np.abs(POLES), atol=4e-3)
-
-
-def test_weighted_rows_are_those_divided_by_the_level():
-    rng = np.random.default_rng(1)
-    u, y = rng.standard_normal((1, 200)), rng.standard_normal((1, 200))
-    observed = rng.random(200) > 0.1
-    level = rng.uniform(0.5, 3.0, 200)
-    plain = FreeRecord(u, y, observed, Hold(STEP), offset=1)
-    weighted = FreeRecord(u, y, observed, Hold(STEP), offset=1, level=level)
-    columns = np.concatenate(list(plain.at(POLES).blocks()), axis=1) / level[observed]
-    R = weighted.at(POLES).factor(200)
-    np.testing.assert_allclose(R.T @ R, columns @ columns.T, rtol=1e-9, atol=1e-9)

@@ -403,3 +403,16 @@ def test_lags_span_what_a_real_pole_adds_to_the_columns_of_a_window(intersample,
         expected = columns[[0, 2, 5]]  # real parts of the motion and of each input, whose other columns follow
         weights = np.linalg.lstsq(lag.T, expected.T, rcond=None)[0]
         np.testing.assert_allclose(weights.T @ lag, expected, atol=1e-10 * np.abs(expected).max())
+
+
+def test_weighted_rows_are_those_divided_by_the_level():
+    poles = np.array([-0.01 + 1j, -0.03 + 2j])
+    rng = np.random.default_rng(1)
+    u, y = rng.standard_normal((1, 200)), rng.standard_normal((1, 200))
+    observed = rng.random(200) > 0.1
+    level = rng.uniform(0.5, 3.0, 200)
+    plain = FreeRecord(u, y, observed, Hold(0.3), offset=1)
+    weighted = FreeRecord(u, y, observed, Hold(0.3), offset=1, level=level)
+    columns = np.concatenate(list(plain.at(poles).blocks()), axis=1) / level[observed]
+    R = weighted.at(poles).factor(200)
+    np.testing.assert_allclose(R.T @ R, columns @ columns.T, rtol=1e-9, atol=1e-9)

@@ -31,6 +31,7 @@ from ..diagnosis.unequal_noise import in_equal_noise
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
 from ..excitation.excitation import examine
 from ..innovations.forces import KINDS, beside_forces
+from ..innovations.strong_forces import beside_strong_forces
 from ..regression.free import FreeProjection, GivenResidues, Lateness, refine_free
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.frequency_rows import FreeResponse
@@ -60,7 +61,6 @@ from .outputs_alone import are_alone, of_outputs_alone
 from .pem_result import PEMResult
 from .result import STRUCTURES, OrderRow, cut_short
 from .scaled_shapes import ModeShapes, shape_errors
-from .strong_forces import beside_strong_forces
 
 _MOST = 20, 40  # modes of records, and of responses, which may be those of networks
 _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it

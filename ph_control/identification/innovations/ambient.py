@@ -18,7 +18,7 @@ from ..._types import Array, ComplexArray
 from ..data.channels import Recording
 from ..search.criteria import Criteria
 from ..search.progress import Report
-from .minimum import Evaluation, Experiment, Minimum, Point, Problem, minimise
+from .minimum import Experiment, InnovationsModel, LikelihoodEvaluation, Minimum, Problem, minimise
 from .noise_sections import NoiseSections
 from .subspace import CanonicalVariates, correlations, in_sections
 
@@ -83,7 +83,7 @@ class AmbientFit:
     orders: tuple[AmbientOrder, ...]
 
     @property
-    def evaluation(self) -> Evaluation:
+    def evaluation(self) -> LikelihoodEvaluation:
         """Prediction errors of the model."""
         return self.minimum.evaluation
 
@@ -185,11 +185,13 @@ def _refined(
     return chosen if chosen.converged else minimise(problem, start, report=_telling(reports, start))
 
 
-def _telling(reports: Callable[[int], Report | None], start: Point) -> Callable[[int, Evaluation], None]:
+def _telling(
+    reports: Callable[[int], Report | None], start: InnovationsModel
+) -> Callable[[int, LikelihoodEvaluation], None]:
     """What tells of the steps of a minimisation."""
     report = reports(int(np.sum(start.poles.imag > 0)))
 
-    def told(step: int, evaluation: Evaluation) -> None:
+    def told(step: int, evaluation: LikelihoodEvaluation) -> None:
         if report is not None:
             report(step, float(np.exp(np.linalg.slogdet(evaluation.covariance)[1] / evaluation.p)))
 
@@ -297,12 +299,12 @@ def _judged(problem: Problem, noise: NoiseSections) -> AmbientOrder | None:
     return AmbientOrder(noise, _criteria(evaluation)) if np.isfinite(evaluation.cost) else None
 
 
-def _point(problem: Problem, noise: NoiseSections) -> Point:
+def _point(problem: Problem, noise: NoiseSections) -> InnovationsModel:
     states = tuple(np.zeros(noise.states) for _ in problem.experiments)
-    return Point(noise, np.zeros((0, len(noise.C))), (), states)
+    return InnovationsModel(noise, np.zeros((0, len(noise.C))), (), states)
 
 
-def _criteria(evaluation: Evaluation) -> Criteria:
+def _criteria(evaluation: LikelihoodEvaluation) -> Criteria:
     rows = float(evaluation.problem.samples * evaluation.p)
     return Criteria.of(-0.5 * evaluation.cost, evaluation.unknowns, rows)
 

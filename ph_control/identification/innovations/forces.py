@@ -20,11 +20,11 @@ from ..search.criteria import Criteria
 from ..search.modal_search import FreeFit
 from ..uncertainty.noise_model import NoiseModel
 from .joint import JointProjection, Quadratic
-from .minimum import Evaluation, Experiment, Minimum, Point, Problem, minimise
+from .minimum import Experiment, InnovationsModel, LikelihoodEvaluation, Minimum, Problem, minimise
 from .missing_mode import missing_mode
 from .noise_sections import NoiseSections
 
-Start = tuple[Problem, Point]  # the data, and a model without forces
+Start = tuple[Problem, InnovationsModel]  # the data, and a model without forces
 Orders = tuple[int, int]  # smallest and largest number of modes
 
 KINDS = ("correlated", "forces")
@@ -66,7 +66,7 @@ class FittedNoise:
     errors: tuple[Array, ...]
 
     @classmethod
-    def of(cls, evaluation: Evaluation, scales: Array) -> FittedNoise:
+    def of(cls, evaluation: LikelihoodEvaluation, scales: Array) -> FittedNoise:
         """The noise of an evaluation in rows that are `1 / scales` times the data."""
         noise, p = evaluation.point.noise, len(scales)
         coloured = evaluation.problem.coloured
@@ -150,7 +150,7 @@ def beside_known_forces(free: FreeFit, noise: NoiseSections) -> FreeFit:
     scaled = noise.moved(sections, noise.C / free.scales[:, None], noise.K * free.scales)
     problem = Problem(experiments, projection.shown, fed=fed)
     try:
-        best = _followed(problem, Point(scaled, projection.shared, tuple(projection.own)), steps=_STEPS)
+        best = _followed(problem, InnovationsModel(scaled, projection.shared, tuple(projection.own)), steps=_STEPS)
     except KeyboardInterrupt:
         return replace(free, interrupted=True)
     if not np.isfinite(best.evaluation.cost):
@@ -234,7 +234,7 @@ def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, sh
     return gain > charge and _is_likelier(white, forced.evaluation.cost, more)
 
 
-def _own_noise(evaluation: Evaluation) -> tuple[Array, ...]:
+def _own_noise(evaluation: LikelihoodEvaluation) -> tuple[Array, ...]:
     """Innovations filters of autoregressive noise of each output; none where this is less likely by the BIC."""
     problem, noise, p = evaluation.problem, evaluation.point.noise, evaluation.p
     samples, shortest = problem.samples, min(experiment.samples for experiment in problem.experiments)
@@ -331,7 +331,7 @@ def _on_sections(best: Minimum, noise: NoiseSections) -> Start:
     start = FreeProjection(rows, noise.sections.p, problem.fed, noise.sections)
     return (
         Problem(problem.experiments, start.shown, problem.coloured, problem.fed),
-        Point(noise, start.shared, tuple(start.own)),
+        InnovationsModel(noise, start.shared, tuple(start.own)),
     )
 
 
@@ -375,7 +375,7 @@ def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> Start 
     experiments = experiments_of(projection, free.channels)
     if experiments is None or projection.deficiency:
         return None
-    point = Point(initial_noise(projection, rows[0].hold.h), projection.shared, tuple(projection.own))
+    point = InnovationsModel(initial_noise(projection, rows[0].hold.h), projection.shared, tuple(projection.own))
     return Problem(experiments, projection.shown, fed=fed), point
 
 
@@ -416,7 +416,7 @@ def initial_noise(projection: FreeProjection, step: float) -> NoiseSections:
     return NoiseSections(sections, step, np.sqrt(np.abs(sections.square)), C, np.zeros(C.shape[::-1]))
 
 
-def _alone(free: FreeFit, problem: Problem, point: Point) -> float:
+def _alone(free: FreeFit, problem: Problem, point: InnovationsModel) -> float:
     """Twice the negative log-likelihood of noise of each output alone, in the units of the rows."""
     if free.noise:
         return -2 * (free.criteria.loglik + problem.samples * float(np.sum(np.log(free.scales))))
@@ -424,7 +424,7 @@ def _alone(free: FreeFit, problem: Problem, point: Point) -> float:
     return float(problem.samples * np.sum(np.log(variances) + 1 + np.log(2 * np.pi)))
 
 
-def _are_correlated(white: Evaluation) -> bool:
+def _are_correlated(white: LikelihoodEvaluation) -> bool:
     """Whether residuals of different outputs go together at the same sample."""
     sizes = np.sqrt(np.diag(white.covariance))
     determinant = np.linalg.slogdet(white.covariance / np.outer(sizes, sizes))[1]
@@ -432,7 +432,7 @@ def _are_correlated(white: Evaluation) -> bool:
     return bool(chdtrc(p * (p - 1) // 2, -white.problem.samples * determinant) < _SCREEN)
 
 
-def _hints_at_forces(problem: Problem, point: Point) -> bool:
+def _hints_at_forces(problem: Problem, point: InnovationsModel) -> bool:
     """Whether one step of the gains, all other numbers moving along, promises some of what the BIC asks for.
 
     That is not looked at where the residuals about no mode are unlike white noise.
@@ -444,7 +444,7 @@ def _hints_at_forces(problem: Problem, point: Point) -> bool:
     return ratio > _HINT * charge and chdtrc(point.noise.K.size, ratio) < _SCREEN
 
 
-def _score(problem: Problem, point: Point) -> float:
+def _score(problem: Problem, point: InnovationsModel) -> float:
     """Twice the log-likelihood that one step of the gains promises beside white noise, all others moving along."""
     evaluation, noise = problem.at(point), point.noise
     gram, gradient = evaluation.normal
@@ -491,7 +491,7 @@ def _in_noise(free: FreeFit, best: Minimum, alone: float, certain: bool) -> Free
     )  # fmt: skip
 
 
-def _finding(free: FreeFit, noise: FittedNoise, evaluation: Evaluation, gain: float) -> Finding:
+def _finding(free: FreeFit, noise: FittedNoise, evaluation: LikelihoodEvaluation, gain: float) -> Finding:
     """What is told of the noise: of forces their share of each output, or which outputs share noise."""
     labels = free.channels[0].output_labels
     if noise.is_coloured:

@@ -96,7 +96,7 @@ class Experiment:
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class InnovationsModel:
     """A model: noise, numbers `shared` (width, p) by all experiments, and those of each of these.
 
     `own` are those of each part of rows, (unknowns, its outputs); `states` the motions of the predictor at the start,
@@ -147,9 +147,9 @@ class Problem:
         rows = [part for experiment in self.experiments for part in experiment.rows]
         return max((int(part.acting.max(initial=-1)) + 1 for part in rows), default=0)
 
-    def at(self, point: Point) -> Evaluation:
+    def at(self, point: InnovationsModel) -> LikelihoodEvaluation:
         """The prediction errors of a model."""
-        return Evaluation(self, point)
+        return LikelihoodEvaluation(self, point)
 
     def _of_the_same_kind(self, sections: Sections, before: Sections) -> Sections:
         """Sections whose poles are complex or real as before, where numbers belong to each of these."""
@@ -159,13 +159,13 @@ class Problem:
         square = np.where(before.square > 0, np.maximum(sections.square, least), np.minimum(sections.square, -least))
         return Sections.from_coordinates(np.concatenate([sections.decay, square, sections.rates]))
 
-    def vector(self, point: Point) -> Array:
+    def vector(self, point: InnovationsModel) -> Array:
         """Numbers that move."""
         noise = [point.noise.C.ravel(), point.noise.K.ravel()] if self.coloured else []
         own = (each.ravel() for each in point.own)
         return np.concatenate([point.noise.sections.x, *noise, point.shared[self.active], *own, *point.states])
 
-    def point(self, values: Array, like: Point) -> Point:
+    def point(self, values: Array, like: InnovationsModel) -> InnovationsModel:
         """The model with these numbers."""
         noise, place = like.noise, 0
 
@@ -181,13 +181,13 @@ class Problem:
         shared[self.active] = take((int(self.active.sum()),))
         own = tuple(take(part.shape) for part in like.own)
         states = tuple(take(part.shape) for part in like.states)
-        return Point(noise.moved(sections, C, K), shared, own, states)
+        return InnovationsModel(noise.moved(sections, C, K), shared, own, states)
 
 
-class Evaluation:
+class LikelihoodEvaluation:
     """The prediction errors of a model, their covariance, and how they depend on its numbers."""
 
-    def __init__(self, problem: Problem, point: Point) -> None:
+    def __init__(self, problem: Problem, point: InnovationsModel) -> None:
         self.problem, self.point = problem, point
         self.p = len(point.noise.C)
         self.parts = [experiment.parts(point.poles) for experiment in problem.experiments]
@@ -487,15 +487,15 @@ class Evaluation:
 class Minimum:
     """Where a minimisation ended."""
 
-    evaluation: Evaluation
+    evaluation: LikelihoodEvaluation
     converged: bool
     steps: int
     interrupted: bool = False
 
 
 def minimise(
-    problem: Problem, start: Point, tolerance: float = 1e-3, steps: int = _STEPS,
-    report: Callable[[int, Evaluation], None] | None = None,
+    problem: Problem, start: InnovationsModel, tolerance: float = 1e-3, steps: int = _STEPS,
+    report: Callable[[int, LikelihoodEvaluation], None] | None = None,
 ) -> Minimum:  # fmt: skip
     """Go down to a minimum: until a step lowers twice the negative log-likelihood by less than `tolerance`.
 
@@ -539,6 +539,6 @@ def _product(first: ComplexArray, second: ComplexArray, counts: Array) -> Array:
     return np.asarray(total.transpose(0, 2, 1, 3).reshape(shape[0] * shape[2], shape[1] * shape[3]))
 
 
-def with_noise(point: Point, noise: NoiseSections) -> Point:
+def with_noise(point: InnovationsModel, noise: NoiseSections) -> InnovationsModel:
     """The same model with another noise."""
     return replace(point, noise=noise)

@@ -11,14 +11,14 @@ from scipy.linalg import solve_triangular
 from scipy.special import digamma
 
 from ..._types import Array, ComplexArray
-from .minimum import Evaluation, Experiment
+from .minimum import Experiment, LikelihoodEvaluation
 
 _NARROWEST = 8  # bins of a window, beside what is fitted in it,
 _WIDEST = 1 / 16  # and of all bins
 _NO_INPUT = 1e-10  # of the power of the inputs: what is less in a window tells nothing
 
 
-def missing_mode(evaluation: Evaluation, least: float) -> complex | None:
+def missing_mode(evaluation: LikelihoodEvaluation, least: float) -> complex | None:
     """Pole of the mode that the prediction errors ask for most; None where no window gains the `least`.
 
     Gains are twice the log-likelihood.
@@ -39,7 +39,9 @@ def missing_mode(evaluation: Evaluation, least: float) -> complex | None:
     return pole
 
 
-def _gains(evaluation: Evaluation, experiment: Experiment, errors: ComplexArray, width: int) -> tuple[Array, Array]:
+def _gains(
+    evaluation: LikelihoodEvaluation, experiment: Experiment, errors: ComplexArray, width: int
+) -> tuple[Array, Array]:
     """Angles of the centres of windows of an experiment, and what each gains beyond what noise does on average."""
     p, u = len(errors), experiment.rows[0].u[: experiment.rows[0].inputs]
     spare = width - len(u) - p

@@ -102,11 +102,11 @@ class DeadTimeScan:
         return self.each * unknowns - dead_times.loglik
 
     @cached_property
-    def _plain(self) -> _Problem:
+    def _plain(self) -> _DeadTimeProblem:
         return self._in_noise(())
 
-    def _in_noise(self, noise: tuple[Array, ...]) -> _Problem:
-        return _Problem(self.most, self.each, _groups(self, noise))
+    def _in_noise(self, noise: tuple[Array, ...]) -> _DeadTimeProblem:
+        return _DeadTimeProblem(self.most, self.each, _groups(self, noise))
 
     def columns(self, rows: FreeRecord) -> tuple[Array, Array, Array]:
         """Outputs (q, T), columns (k, T) of the free motion and the constants, and (m, k, T) of inputs from rest."""
@@ -187,7 +187,7 @@ def _block(
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _DeadTimeProblem:
     """The linear problems of all groups of outputs, for any dead times up to the `most`; a parameter costs `each`."""
 
     most: int

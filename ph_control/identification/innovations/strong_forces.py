@@ -8,13 +8,13 @@ import numpy as np
 
 from ..data.channels import Recording
 from ..data.parts import is_long
-from ..innovations.ambient import AmbientFit, ambient_fit
-from ..innovations.forces import beside_known_forces
-from ..innovations.noise_sections import NoiseSections
 from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
 from ..search.modal_search import FreeFit
 from ..uncertainty.residual_tests import is_white
+from .ambient import AmbientFit, ambient_fit
+from .forces import beside_known_forces
+from .noise_sections import NoiseSections
 
 _MOSTLY = 0.5  # of the squares of outputs: less than that of them inputs explain where forces prevail
 
