@@ -208,6 +208,7 @@ def test_the_options_of_the_fit_reach_it(recording, tmp_path, monkeypatch):
         "order": 2, "max_order": 7, "criterion": "aicc", "method": "midpoint", "intersample": "foh",
         "initial_state": "zero", "offset": True, "quantity": "acceleration", "representation": "controllable", "rng": 5,
         "workers": 2, "callback": None, "structure": "auto", "ports": None, "delay": "auto",
+        "input_delay": "auto",
     }  # fmt: skip
 
 

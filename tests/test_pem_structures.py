@@ -87,7 +87,8 @@ def test_a_first_order_lag_beside_modes_is_a_real_pole(kind):
     assert abs(result.residues[2, 0, 0].real - 0.6) < 4 * result.stderr["residues"][2, 0, 0].real
     assert result.whiteness > 0.01 and np.abs(result.poles[:2] - PLANT.poles).max() < 5e-4
     assert np.allclose(phc.pem(data, structure="free", order=2, real_poles=1, **options).poles, result.poles)
-    without = phc.pem(data, structure="free", order=2, **options)
+    assert np.allclose(phc.pem(data, structure="free", order=2, **options).poles, result.poles)
+    without = phc.pem(data, structure="free", order=2, real_poles=0, **options)
     assert not len(without.real_poles) and without.bic > result.bic + 100
 
 

@@ -326,7 +326,7 @@ def test_p_values_of_a_fit_to_its_own_short_record_are_uniform():
 
 def test_a_missing_mode_is_found_as_a_response():
     u, y = recording(samples=1000, noise=0.1)
-    result = phc.pem((u, y), order=1, dt=STEP)
+    result = phc.pem((u, y), order=1, dt=STEP, real_poles=0)  # a real pole would stand for a part of the mode
     analysis = residual_analysis((u, y), result)
     # an autoregression takes over what the simulation lacks, but not what goes with the input
     assert analysis.response_p_value < 1e-6 and analysis.simulation_whiteness < 1e-6

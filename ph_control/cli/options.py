@@ -201,14 +201,16 @@ def add_recording(parser: Parser) -> None:
     response.add_argument("--weights", metavar="COLUMN", help="column of weights, proportional to 1/variance")
 
 
-def add_meeting(parser: argparse._ActionsContainer, states: Sequence[str], auto: str) -> None:
+def add_meeting(
+    parser: argparse._ActionsContainer, states: Sequence[str], auto: str, holds: Sequence[str] = INTERSAMPLE
+) -> None:
     """How a model meets samples, and what the default of the input between them means."""
     parser.add_argument(
         "--method", choices=METHODS, default="exact",
         help="exact (default); midpoint and euler only for data made by these rules",
     )  # fmt: skip
     parser.add_argument(
-        "--intersample", choices=("auto", *INTERSAMPLE), default="auto",
+        "--intersample", choices=("auto", *holds), default="auto",
         help=f"input between samples: {auto} (default), held or linear",
     )  # fmt: skip
     parser.add_argument("--initial-state", choices=states, default="estimate", help="initial state (default: estimate)")

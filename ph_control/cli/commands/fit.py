@@ -28,7 +28,7 @@ import ph_control as phc
 
 from ...exceptions import IdentificationError, StructureError
 from ..inputs import measurements, read_model, system_name_of
-from ..options import Parser, add_meeting, add_recording, add_written, order, system_name, within
+from ..options import INTERSAMPLE, Parser, add_meeting, add_recording, add_written, order, system_name, within
 from ..outcome import DONE, INTERRUPTED, NO, NoError, ProgressLine, complain, emit, in_shell_terms
 from ..outputs import (
     check_files,
@@ -87,7 +87,7 @@ def add_fitted(parser: Parser) -> None:
         help="velocity, displacement, acceleration or free, for all outputs or for each (default: from the file, "
         "its labels or units, else velocity)",
     )  # fmt: skip
-    add_meeting(model, ("estimate", "zero"), "whichever fits better")
+    add_meeting(model, ("estimate", "zero"), "whichever fits better", (*INTERSAMPLE, "bandlimited"))
     model.add_argument(
         "--no-offset", dest="offset", action="store_false",
         help="no offset (default: an offset or a drift if the data show it)",

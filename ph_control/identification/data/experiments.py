@@ -271,6 +271,8 @@ def _experiment(
     if isinstance(data, FrequencyRecord | ResponseMatrix):
         sampling = Sampling(window, dt, hold)
         known = data.window if window is None and dt is None else sampling.of(data, data.omega)
+        if weights is None and known is data.window:
+            return (data,)
         if isinstance(data, FrequencyRecord):
             weights = data.weights if weights is None else checked_weights(weights, data.samples)
             return (replace(data, weights=weights, window=known),)

@@ -63,6 +63,7 @@ from .result import STRUCTURES, OrderRow, cut_short
 from .scaled_shapes import ModeShapes, shape_errors
 
 _MOST = 20, 40  # modes of records, and of responses, which may be those of networks
+_SEEN = 2.0  # standard errors by which delays that a structure needs differ from 0
 _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it
 _COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
 _WHOLE = 1e-6  # samples, or their share: what a dead time may differ from whole samples by
@@ -223,7 +224,15 @@ def _of_modes_and_inputs(
         free = free if free.rival is None or free.intersample == result.intersample else free.rival
         free = _of_modes(free, imaginary(result.d[result.kappa > 0]))
         result = under_either_hold(free, request, findings)
+    if free.beside is not None and options.noise == "auto" and _rejects(result, request.structure):
+        # what such a model leaves is no noise, and its distance from the likeliest is no small one
+        return _of_modes_and_inputs(channels, request, replace(options, noise="white"), start, findings, order)
     return result
+
+
+def _rejects(result: PEMResult, structure: str) -> bool:
+    """Whether the data reject the structure that was given."""
+    return any(test.hypothesis == structure and test.p < LEVEL for test in result.tests)
 
 
 @dataclass(frozen=True)
@@ -558,9 +567,15 @@ def _with_delay(
     without = best if request.structure in ("auto", "free") else _freely(best, request)
     if trial is not best and _explains(trial, without):
         chosen = _searched_anew(trial.free, request, with_delay)
-        if _explains(chosen, without) and (_stands(chosen, request) or _gain(chosen, without) > TUNING.sure):
+        likelier = _explains(chosen, without) and (_stands(chosen, request) or _gain(chosen, without) > TUNING.sure)
+        if likelier and _is_late(chosen.fit):
             return chosen
     return _refined(best, "free", request) if late and best.fit.structure == "free" else best
+
+
+def _is_late(fit: StructuredFit) -> bool:
+    """Whether any delay differs from 0 by more than its errors allow."""
+    return fit.delays is None or bool(np.any(np.abs(fit.delays.values) > _SEEN * fit.delay_errors))
 
 
 def _freely(best: _Chosen, request: Request) -> _Chosen:

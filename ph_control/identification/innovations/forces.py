@@ -33,6 +33,7 @@ _LEVEL = 1e-3  # probability that white noise of its own at each output looks as
 _SCREEN = 0.05  # of the score test that comes before, whose law holds for long records
 _HINT = 0.25  # of what the BIC asks for, which one step promises at least
 _NOTED = 0.5  # of that for each mode, which residuals in a window about one promise
+_SURE = 10.0  # log-likelihood beyond that of the criterion, as states that no force moves are seen in any way
 _UNKNOWNS = 600  # at most,
 _NUMBERS = 1 << 28  # and those of a Jacobian: a few seconds a step
 _SPARE = 4  # samples of all outputs for each unknown
@@ -155,7 +156,8 @@ def beside_known_forces(free: FreeFit, noise: NoiseSections) -> FreeFit:
         return replace(free, interrupted=True)
     if not np.isfinite(best.evaluation.cost):
         return free
-    forced = _in_noise(free, best, _alone(replace(free, noise=()), problem, best.evaluation.point), True)
+    white = replace_colour(problem, False).at(best.evaluation.point)
+    forced = _in_noise(free, best, _alone(replace(free, noise=()), white), True)
     return forced.with_rival(lambda rival: beside_known_forces(rival, noise))
 
 
@@ -164,22 +166,22 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
     start = None if rows is None else _start(free, rows, free.projection.p)
     if start is None or rows is None:
         return free
-    best, alone = None, _alone(free, *start)
+    white = replace_colour(start[0], False).at(start[1])
+    if not np.isfinite(white.cost):
+        return free
+    best, alone = None, _alone(free, white)
     outputs = len(free.scales)
-    if "correlated" in kinds and outputs > 1:
-        white = replace_colour(start[0], False)
-        if certain or _are_correlated(white.at(start[1])):
-            shared = _followed(white, start[1], steps=_STEPS)
-            if certain or _is_likelier(alone, shared.evaluation.cost, outputs * (outputs - 1) // 2):
-                best = shared
-    begin = start if best is None else (start[0], best.evaluation.point)
-    if "forces" in kinds and (certain or _hints_at_forces(*begin)):
+    if "correlated" in kinds and outputs > 1 and (certain or _are_correlated(white)):
+        shared = _followed(white.problem, white.point, steps=_STEPS)
+        if certain or _is_likelier(alone, shared.evaluation.cost, outputs * (outputs - 1) // 2):
+            best = shared
+    if "forces" in kinds and (certain or _hints_at_forces(white if best is None else best.evaluation)):
         forced = _forced(free, rows, start, orders)
-        if certain or _shows_forces(free, rows, forced, best):
+        if certain or (_shows_forces(free, rows, forced, best) and _has_all_modes(forced)):
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
         return free
-    if not certain and (filters := _own_noise(best.evaluation)):
+    if not certain and (filters := _own_noise(best.evaluation, white)):
         return replace(free, own_noise=filters)
     return _in_noise(free, best, alone, certain)
 
@@ -187,7 +189,8 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
 def _forced(free: FreeFit, rows: Sequence[FreeRecord], start: Start, orders: Orders) -> Minimum:
     """The minimum beside forces: with the same modes, or with those that the BIC prefers of so many.
 
-    In white noise modes more than there are stand for what forces do: so the search begins with the strongest alone.
+    In white noise modes more than there are stand for what forces do: so the search begins with the strongest alone,
+    and where it ends is compared with the minimum next to all modes of white noise.
     """
     table = sorted((row for row in free.order_table if row.order > 0), key=lambda row: row.order)
     fewest, most = orders
@@ -203,9 +206,8 @@ def _forced(free: FreeFit, rows: Sequence[FreeRecord], start: Start, orders: Ord
             break
         best = wider
     best = _followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
-    if fewest == most:
-        return min(best, _followed(*start, steps=_STEPS), key=_bic)
-    return _of_fewer_modes(best)
+    best = min(best, _followed(*start, steps=_STEPS), key=_bic)
+    return best if fewest == most else _of_fewer_modes(best)
 
 
 def _charge(best: Minimum) -> float:
@@ -225,24 +227,36 @@ def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, sh
         return False
     p, more = len(free.scales), point.noise.unknowns
     if shared is None:
-        white, more = _alone(replace(free, noise=()), *start), more + p * (p - 1) // 2
+        evaluation = replace_colour(start[0], False).at(start[1])
+        white, more = _alone(replace(free, noise=()), evaluation), more + p * (p - 1) // 2
     else:
         white = _followed(replace_colour(start[0], False), start[1], steps=_STEPS).evaluation.cost
-    # states that no force moves are seen by outputs in any way: the law of the gain is not that of so many numbers
     charge = more * float(np.log(forced.evaluation.problem.samples * p))
     gain = white - forced.evaluation.cost
-    return gain > charge and _is_likelier(white, forced.evaluation.cost, more)
+    return gain > charge + 2 * _SURE and _is_likelier(white, forced.evaluation.cost, more)
 
 
-def _own_noise(evaluation: LikelihoodEvaluation) -> tuple[Array, ...]:
-    """Innovations filters of autoregressive noise of each output; none where this is less likely by the BIC."""
-    problem, noise, p = evaluation.problem, evaluation.point.noise, evaluation.p
+def _own_noise(best: LikelihoodEvaluation, white: LikelihoodEvaluation) -> tuple[Array, ...]:
+    """Innovations filters of autoregressive noise of each output; none where this is less likely by the BIC.
+
+    It is the noise that a plant fitted in white noise leaves, or one fitted beside forces.
+    """
+    problem, noise, p = best.problem, best.point.noise, best.p
+    charge = float(np.log(problem.samples * p))
+    unknowns = p * (p - 1) // 2 + (noise.unknowns if problem.coloured else 0)
+    cost, filters = min((_autoregressions(each, charge) for each in (white, best)), key=lambda pair: pair[0])
+    return filters if cost <= best.cost + unknowns * charge else ()
+
+
+def _autoregressions(evaluation: LikelihoodEvaluation, charge: float) -> tuple[float, tuple[Array, ...]]:
+    """Twice the negative log-likelihood of autoregressive noise of each output, with a charge, and its filters."""
+    problem = evaluation.problem
     samples, shortest = problem.samples, min(experiment.samples for experiment in problem.experiments)
-    charge, most = float(np.log(samples * p)), min(_LONGEST_PAST, shortest // 4)
-    products = np.zeros((p, most + 1))
-    for experiment, left in zip(problem.experiments, evaluation.left, strict=True):
+    most = min(_LONGEST_PAST, shortest // 4)
+    products = np.zeros((evaluation.p, most + 1))
+    for experiment, noise in zip(problem.experiments, evaluation.left, strict=True):
         # without the constant, which slow noise can hardly be told from
-        power = np.abs(left) ** 2 * (experiment.z != 1)
+        power = np.abs(noise) ** 2 * (experiment.z != 1)
         products += np.fft.irfft(power, experiment.samples)[:, : most + 1] * experiment.samples
     cost, filters = 0.0, list[Array]()
     for product in products:
@@ -251,8 +265,15 @@ def _own_noise(evaluation: LikelihoodEvaluation) -> tuple[Array, ...]:
         costs = samples * size + charge * np.arange(len(variances))
         cost += float(costs.min())
         filters.append(np.concatenate([[1.0], -models[int(np.argmin(costs))]]))
-    unknowns = p * (p - 1) // 2 + (noise.unknowns if problem.coloured else 0)
-    return tuple(filters) if cost <= evaluation.cost + unknowns * charge else ()
+    return cost, tuple(filters)
+
+
+def _has_all_modes(forced: Minimum) -> bool:
+    """Whether prediction errors ask for no mode that the search has failed to place.
+
+    What modes that are missing leave says nothing of the noise.
+    """
+    return missing_mode(forced.evaluation, _charge(forced)) is None
 
 
 def _of_fewer_modes(best: Minimum) -> Minimum:
@@ -309,19 +330,34 @@ def _without(best: Minimum, section: int) -> Minimum:
 
 
 def _with_mode(best: Minimum, pole: complex) -> Start:
-    """The data and a model with one mode more, which noise does not come through as yet."""
-    noise = best.evaluation.point.noise
-    k, sections = noise.pairs, noise.sections
+    """The data and a model with one mode more, which noise does not come through as yet.
+
+    All residues are those that fit in white noise, or, if these are likelier, the known ones and none of the mode.
+    """
+    known = best.evaluation.point
+    noise, sections = known.noise, known.noise.sections
+    k, n, place = noise.pairs, len(known.poles), len(known.poles) - len(sections.rates)
     wider = Sections.from_coordinates(
         np.concatenate([sections.decay, [-pole.real], sections.square, [pole.imag**2], sections.rates])
     )
     problem, point = _on_sections(best, replace(noise, sections=wider))
     rows = [part for experiment in problem.experiments for part in experiment.rows]
     start = initial_noise(FreeProjection(rows, wider.p, problem.fed, wider), noise.step)
-    known = np.delete(np.arange(start.states), [2 * k, 2 * k + 1])
+    states = np.delete(np.arange(start.states), [2 * k, 2 * k + 1])
     C, K = start.C.copy(), start.K.copy()
-    C[:, known], K[known] = noise.C, noise.K
-    return problem, replace(point, noise=replace(start, C=C, K=K, references=np.append(noise.references, pole.imag)))
+    C[:, states], K[states] = noise.C, noise.K
+    point = replace(point, noise=replace(start, C=C, K=K, references=np.append(noise.references, pole.imag)))
+    width = len(known.shared) // problem.inputs
+    places = [width * i + part + place for i in range(problem.inputs) for part in (0, n)]
+    moving = [part.moving for part in rows]
+    nested = replace(
+        point, shared=np.insert(known.shared, places, 0.0, axis=0),
+        own=tuple(
+            np.insert(own, [place, n + place], 0.0, axis=0) if moves else own
+            for own, moves in zip(known.own, moving, strict=True)
+        ),
+    )  # fmt: skip
+    return problem, min((point, nested), key=lambda model: problem.at(model).cost)
 
 
 def _on_sections(best: Minimum, noise: NoiseSections) -> Start:
@@ -416,12 +452,12 @@ def initial_noise(projection: FreeProjection, step: float) -> NoiseSections:
     return NoiseSections(sections, step, np.sqrt(np.abs(sections.square)), C, np.zeros(C.shape[::-1]))
 
 
-def _alone(free: FreeFit, problem: Problem, point: InnovationsModel) -> float:
+def _alone(free: FreeFit, white: LikelihoodEvaluation) -> float:
     """Twice the negative log-likelihood of noise of each output alone, in the units of the rows."""
+    samples = white.problem.samples
     if free.noise:
-        return -2 * (free.criteria.loglik + problem.samples * float(np.sum(np.log(free.scales))))
-    variances = np.diag(replace_colour(problem, False).at(point).covariance)
-    return float(problem.samples * np.sum(np.log(variances) + 1 + np.log(2 * np.pi)))
+        return -2 * (free.criteria.loglik + samples * float(np.sum(np.log(free.scales))))
+    return float(samples * np.sum(np.log(np.diag(white.covariance)) + 1 + np.log(2 * np.pi)))
 
 
 def _are_correlated(white: LikelihoodEvaluation) -> bool:
@@ -432,21 +468,22 @@ def _are_correlated(white: LikelihoodEvaluation) -> bool:
     return bool(chdtrc(p * (p - 1) // 2, -white.problem.samples * determinant) < _SCREEN)
 
 
-def _hints_at_forces(problem: Problem, point: InnovationsModel) -> bool:
+def _hints_at_forces(white: LikelihoodEvaluation) -> bool:
     """Whether one step of the gains, all other numbers moving along, promises some of what the BIC asks for.
 
     That is not looked at where the residuals about no mode are unlike white noise.
     """
-    charge = point.noise.unknowns * float(np.log(problem.samples * len(point.noise.C)))
-    if missing_mode(replace_colour(problem, False).at(point), _NOTED * charge / max(1, point.noise.pairs)) is None:
+    problem, noise = white.problem, white.point.noise
+    charge = noise.unknowns * float(np.log(problem.samples * white.p))
+    if missing_mode(white, _NOTED * charge / max(1, noise.pairs)) is None:
         return False
-    ratio = _score(problem, point)
-    return ratio > _HINT * charge and chdtrc(point.noise.K.size, ratio) < _SCREEN
+    ratio = _score(replace_colour(problem, True).at(white.point))
+    return ratio > _HINT * charge and chdtrc(noise.K.size, ratio) < _SCREEN
 
 
-def _score(problem: Problem, point: InnovationsModel) -> float:
+def _score(evaluation: LikelihoodEvaluation) -> float:
     """Twice the log-likelihood that one step of the gains promises beside white noise, all others moving along."""
-    evaluation, noise = problem.at(point), point.noise
+    noise = evaluation.point.noise
     gram, gradient = evaluation.normal
     first = len(noise.sections.x)
     gains = np.arange(first + noise.C.size, first + noise.C.size + noise.K.size)
@@ -475,7 +512,7 @@ def _in_noise(free: FreeFit, best: Minimum, alone: float, certain: bool) -> Free
     known = free.projection if free.measured is None else free.measured
     projection = FreeProjection(known.experiments, point.poles, known.fed, point.noise.sections)
     unknowns = projection.unknowns + noise.unknowns
-    joint = JointProjection(projection, point.shared, Quadratic.of(best), unknowns)
+    joint = JointProjection.of(projection, point.shared, Quadratic.of(best), unknowns)
     loglik = -0.5 * evaluation.cost - samples * float(np.sum(np.log(free.scales)))
     criteria = Criteria.of(loglik, unknowns + p, float(samples * p))
     if not certain and free.criteria.bic <= criteria.bic and (free.noise or noise.is_coloured):

@@ -64,12 +64,21 @@ class Quadratic:
 class JointProjection(GivenResidues):
     """Data at some poles and shared unknowns, at the loss that these have beside noise of any kind.
 
-    Rows have variance 1 at the minimum.
+    Rows have variance 1 at the minimum.  With more or fewer poles, or real ones in place of complex ones, no square
+    tells the loss: then it is that of white noise, in units of the `variance` that this has at the minimum.
     """
 
-    def __init__(self, projection: FreeProjection, shared: Array, quadratic: Quadratic, unknowns: int) -> None:
+    def __init__(
+        self, projection: FreeProjection, shared: Array, quadratic: Quadratic, unknowns: int, variance: float
+    ) -> None:
         super().__init__(projection, shared)
-        self.quadratic, self._unknowns = quadratic, unknowns
+        self.quadratic, self._unknowns, self._variance = quadratic, unknowns, variance
+
+    @classmethod
+    def of(cls, projection: FreeProjection, shared: Array, quadratic: Quadratic, unknowns: int) -> JointProjection:
+        """The data at the minimum."""
+        variance = GivenResidues(projection, shared).loss / projection.rows
+        return cls(projection, shared, quadratic, unknowns, variance)
 
     @property
     def unknowns(self) -> int:
@@ -82,29 +91,31 @@ class JointProjection(GivenResidues):
     ) -> GivenResidues:  # fmt: skip
         """The same data at other poles and shared unknowns."""
         free = FreeProjection(self.experiments if experiments is None else experiments, p, self.fed, sections)
-        return JointProjection(free, shared, self.quadratic, self._unknowns)
+        return JointProjection(free, shared, self.quadratic, self._unknowns, self._variance)
 
-    @property
-    def _moved(self) -> Array:
-        """How far poles and shared unknowns are from the minimum."""
+    @cached_property
+    def _moved(self) -> Array | None:
+        """How far poles and shared unknowns are from the minimum; None where the poles are of other kinds."""
+        moved = np.concatenate([self.p.imag, self.p.real, self.shared.T.ravel()])
         n, known = len(self.p), len(self.quadratic.centre) - self.shared.size
-        if 2 * n != known:
-            return np.full(len(self.quadratic.centre), np.inf)
-        return np.concatenate([self.p.imag, self.p.real, self.shared.T.ravel()]) - self.quadratic.centre
+        alike = 2 * n == known and np.array_equal(self.quadratic.centre[:n] != 0, self.p.imag != 0)
+        return moved - self.quadratic.centre if alike else None
 
     @cached_property
     def loss(self) -> float:
         """What is left at the minimum, of variance 1, and what the distance from it costs."""
+        if self._moved is None:
+            return super().loss / self._variance
         return float(self.rows + np.sum((self.quadratic.root @ self._moved) ** 2))
 
     def sensitivities(self) -> Iterator[Sensitivity]:
         """All outputs, what the distance leaves, and its derivatives by poles and shared unknowns."""
-        root, n = self.quadratic.root, len(self.p)
-        if not np.isfinite(self.loss):
-            # other poles than those at the minimum: a model that no step goes to
-            root = np.zeros((len(root), 2 * n + self.shared.size))
-            yield list(range(self.shared.shape[1])), np.zeros(len(root)), root[:, : 2 * n], root[:, 2 * n :]
+        if self._moved is None:
+            unit = np.sqrt(self._variance)
+            for outputs, residual, by_poles, by_shared in super().sensitivities():
+                yield outputs, residual / unit, by_poles / unit, by_shared / unit
             return
+        root, n = self.quadratic.root, len(self.p)
         yield list(range(self.shared.shape[1])), root @ self._moved, root[:, : 2 * n], root[:, 2 * n :]
 
     def covariance(self, variance: float) -> Array:
@@ -114,8 +125,11 @@ class JointProjection(GivenResidues):
     @cached_property
     def own(self) -> list[Array]:
         """What belongs to each experiment, shape (unknowns, its outputs)."""
+        if self._moved is None:
+            return super().own
         pairs = zip(self.quadratic.own, self.quadratic.along, strict=True)
-        return [mine + (along @ self._moved).reshape(mine.shape) for mine, along in pairs]
+        moved = self._moved
+        return [mine + (along @ moved).reshape(mine.shape) for mine, along in pairs]
 
     def own_covariances(self, experiment: int, covariance: Array, variance: float) -> list[tuple[Array, Array]]:
         """Covariances of what belongs to an experiment, for each output, and with the poles and what `shared` has."""

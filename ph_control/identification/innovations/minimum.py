@@ -31,6 +31,7 @@ _IN_WIDTH = 4.0  # of these at least lie within the half-power width of each mod
 _STEPS = 60
 _APART = 1e-4  # of their distance from 0: so near to one another poles of a section come
 _GROWTH, _LARGEST_DAMPING = 4.0, 1e8
+_LARGEST_GROWTH = 50.0  # logarithm of how much larger a motion may be at the end of a record: few doubles hold both
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +191,11 @@ class LikelihoodEvaluation:
     def __init__(self, problem: Problem, point: InnovationsModel) -> None:
         self.problem, self.point = problem, point
         self.p = len(point.noise.C)
-        self.parts = [experiment.parts(point.poles) for experiment in problem.experiments]
+
+    @cached_property
+    def parts(self) -> list[list[DrivenPart]]:
+        """Columns of each experiment."""
+        return [experiment.parts(self.point.poles) for experiment in self.problem.experiments]
 
     @cached_property
     def left(self) -> list[ComplexArray]:
@@ -246,16 +251,25 @@ class LikelihoodEvaluation:
 
     @cached_property
     def cost(self) -> float:
-        """Twice the negative logarithm of the likelihood; infinite where the predictor does not forget."""
-        if self.problem.coloured and not self.point.noise.is_stable:
+        """Twice the negative logarithm of the likelihood; infinite where there is none.
+
+        So it is where the predictor does not forget, free motions grow beyond all records, or outputs are predicted
+        without error.
+        """
+        samples = max(experiment.samples for experiment in self.problem.experiments)
+        growth = float(self.point.poles.real.max(initial=0.0)) * self.point.noise.step * samples
+        if growth > _LARGEST_GROWTH or (self.problem.coloured and not self.point.noise.is_stable):
             return np.inf
-        sign, size = np.linalg.slogdet(self.covariance)
-        if not (sign > 0 and np.isfinite(size)):
+        try:
+            size = 2 * float(np.sum(np.log(np.diag(self._root))))
+        except np.linalg.LinAlgError:
             return np.inf
-        return float(self.problem.samples * (size + self.p * (1 + np.log(2 * np.pi))))
+        return self.problem.samples * (size + self.p * (1 + float(np.log(2 * np.pi))))
 
     @cached_property
     def _root(self) -> Array:
+        if not np.isfinite(self.covariance).all():
+            raise np.linalg.LinAlgError
         return np.asarray(np.linalg.cholesky(self.covariance))
 
     def _whitening(self, z: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:

@@ -53,6 +53,7 @@ _EXACT = 1e-13  # relative decrease of the loss at which the last refinement end
 _DECIDED = 0.01  # decrease, in variances of the noise, at which what belongs to the model beside poles can be told
 _GROWING = 3.0  # standard errors of a decay rate beyond which a mode grows
 _LARGE = 0.01  # of the power of all outputs: with less no mode is taken to grow
+_MOSTLY = 0.5  # of the squares of outputs: lags that leave more of them say little of dead times
 _MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
 _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _FASTEST = 0.8  # of the ceiling: faster real poles are none
@@ -955,14 +956,19 @@ def undelayed(fit: FreeFit) -> Lateness:
 def _of_late_inputs(path: FreePath, channels: Experiments, search: _Search, drifting: bool) -> FreeFit | None:
     """The fit with inputs that act later, each by a time of its own, where a few lags already tell; None elsewhere.
 
-    It has to be likelier than what a search without dead times finds that begins with its poles and its noise, with one
-    more mode at most: more of them would come to stand for dead times one by one.
+    These have to explain most of the outputs.  The fit has to be likelier than what a search without dead times finds
+    that begins with its poles and its noise, with one more mode at most: more of them would come to stand for dead
+    times one by one.
     """
     rows = [record for record in path.plain.data if isinstance(record, FreeRecord)]
     proposed = _proposed_dead_times(rows, path.felt.shape[1], np.zeros(0, complex))
     if proposed is None:
         return None
     late_path = search.path_for(channels, late=_lateness_of(proposed.times, path.felt.shape[0]))
+    late_rows = late_path.plain.data
+    still, lagging = (FreeProjection(late_rows, p).losses for p in (np.zeros(0, complex), proposed.lags))
+    if np.mean(lagging / np.maximum(still, np.finfo(float).tiny)) > _MOSTLY:
+        return None
     late_path.whiten(proposed.noise, late_path.power)
     late = search.along(late_path, channels, np.append(search.begin, proposed.lags))
     try:
@@ -1114,7 +1120,7 @@ def _on_time(fit: FreeFit, anew: Anew) -> FreeFit:
         again = anew(replace(fit.lateness, outputs=delay), fit.offset, None)
         share = fit.projection.rows / again.projection.rows
         now = 0.5 * (fit.criteria.bic - again.criteria.bic * share)
-        if now > gain:
+        if now > gain and _responds(again):
             best, gain = replace(again, findings=fit.findings, delay_gain=now), now
             if again.order < fit.order and not _leaves_traces(again.projection):
                 break
@@ -1129,11 +1135,16 @@ def _on_time(fit: FreeFit, anew: Anew) -> FreeFit:
             now = 0.5 * (fit.criteria.bic - again.criteria.bic * fit.projection.rows / again.projection.rows)
             # with noise that is modelled a delay is one more parameter; without, what else leaves traces may ask for it
             each = 0.5 * float(np.log(fit.projection.rows)) if again.noise else TUNING.likely
-            if now > (each if best is fit else gain):
+            if now > (each if best is fit else gain) and _responds(again):
                 best, gain = replace(again, findings=fit.findings, delay_gain=now), now
         if best is before:
             break
     return best
+
+
+def _responds(fit: FreeFit) -> bool:
+    """Whether outputs are more than noise and free motions, which know no delay."""
+    return bool(fit.states or np.any(fit.projection.feedthrough))
 
 
 def likely_delays(fit: FreeFit) -> list[Array]:
