@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
@@ -121,9 +122,8 @@ def lines_in(fit: FreeFit) -> Array:
             continue
         residuals = record.residuals(predicted) * np.hanning(record.length)
         power = np.abs(np.fft.rfft(residuals)[:, : last + 1]) ** 2
-        windows = np.lib.stride_tricks.sliding_window_view(np.pad(power, ((0, 0), (_BESIDE, _BESIDE)), "edge"),
-                                                           2 * _BESIDE + 1, axis=1)  # fmt: skip
-        level = np.maximum(np.median(windows, axis=2) / np.log(2), np.finfo(float).tiny)
+        about = median_filter(power, (1, 2 * _BESIDE + 1), mode="nearest")
+        level = np.maximum(about / np.log(2), np.finfo(float).tiny)
         statistic = 2 * np.sum(power / level, axis=0)
         statistic[:_BESIDE] = 0.0
         limit = float(chi2.isf(_LINE / last, 2 * count))

@@ -15,6 +15,7 @@ from ..data.channels import Recording
 from ..regression.free import FreeProjection
 from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
+from ..regression.tuning import TUNING
 from ..search.circumstances import Cause, Finding, foretold
 from ..search.criteria import Criteria
 from ..search.modal_search import FreeFit
@@ -394,9 +395,12 @@ def _rows(free: FreeFit) -> Sequence[FreeRecord] | None:
 
 
 def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> Start | None:
-    """The data and a model of some poles without forces; None where the likelihood would take too long."""
-    x = Sections.of(p).x
-    k = len(x) // 2
+    """The data and a model of some poles without forces; None where the likelihood would take too long.
+
+    So it is where the data tell modes that hardly decay from those that do: noise through them never settles.
+    """
+    known = Sections.of(p).x
+    x, k = known.copy(), len(known) // 2
     least = _LEAST_DECAY * rows[0].bin
     x[:k], x[2 * k :] = np.maximum(x[:k], least), np.maximum(x[2 * k :], least)
     sections = Sections.from_coordinates(x)
@@ -411,6 +415,10 @@ def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> Start 
     experiments = experiments_of(projection, free.channels)
     if experiments is None or projection.deficiency:
         return None
+    if np.any(x != known):
+        before = FreeProjection(rows, Sections.from_coordinates(known).p, fed).loss
+        if projection.loss > (1 + 2 * TUNING.sure / count) * before:
+            return None
     point = InnovationsModel(initial_noise(projection, rows[0].hold.h), projection.shared, tuple(projection.own))
     return Problem(experiments, projection.shown, fed=fed), point
 

@@ -163,10 +163,10 @@ def likelihood_test(projection: FreeProjection, fit: StructuredFit, dof: int) ->
 
 def _inflation(projection: FreeProjection, fit: StructuredFit, dof: int) -> float:
     """Mean of the squares that a true structure costs over their number, 1 unless entries have errors in common."""
-    excess = getattr(fit.point, "excess", None)
-    if not dof or excess is None or not share_errors(projection.experiments):
+    if not dof or not share_errors(projection.experiments):
         return 1.0
-    return max(_LEAST, 1 + (projection.excess - excess) / dof)
+    excess = getattr(fit.point, "excess", None)
+    return 1.0 if excess is None else max(_LEAST, 1 + (projection.excess - excess) / dof)
 
 
 def _rounding(projection: FreeProjection) -> float:
