@@ -1,0 +1,156 @@
+"""Unmeasured forces beside measured ones, noise of inputs, sensors that share noise: named, with errors that hold."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.signal import lfilter
+from scipy.stats import chi2
+
+import ph_control as phc
+
+W, ZETA = np.array([0.6, 1.1, 1.7]), np.array([0.012, 0.008, 0.015])
+SHAPES = np.array([[0.8, 1.0, -0.7], [1.2, -0.5, 0.9], [0.6, -1.1, -0.8]])  # of three floors, a column each mode
+PORTS = [(0, 0)]
+
+
+def steps():
+    """Matrices of one step of 1, from held forces at the floors, and the covariance of what white forces add in it."""
+    n, i = len(W), np.arange(len(W))
+    A, B, C = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, n)), np.zeros((n, 2 * n))
+    A[2 * i, 2 * i + 1], A[2 * i + 1, 2 * i], A[2 * i + 1, 2 * i + 1] = 1, -(W**2), -2 * ZETA * W
+    B[1::2], C[:, 1::2] = SHAPES.T, SHAPES
+    held = expm(np.block([[A, B], [np.zeros((n, 3 * n))]]))[: 2 * n]
+    both = expm(np.block([[-A, B @ B.T], [np.zeros(A.shape), A.T]]))
+    Q = held[:, : 2 * n] @ both[: 2 * n, 2 * n :]
+    return held[:, : 2 * n], held[:, 2 * n :], C, 0.5 * (Q + Q.T)
+
+
+def responses(seed, samples, inputs=1):
+    """Measured forces (m, T), the outputs that these make, and those of white forces at all floors, of equal size."""
+    A, B, C, Q = steps()
+    rng, early = np.random.default_rng(seed), 1500
+    values, V = np.linalg.eig(A)
+    u = rng.standard_normal((inputs, samples + early))
+    forces = np.linalg.cholesky(Q + 1e-14 * np.eye(len(Q))) @ rng.standard_normal((len(Q), samples + early))
+    outputs = []
+    for force in (B[:, :inputs] @ u, forces):
+        modal = np.linalg.solve(V, force)
+        states = [lfilter([0, 1], [1, -value], row) for value, row in zip(values, modal, strict=True)]
+        outputs.append((C @ (V @ np.array(states)).real)[:, early:])
+    outputs[1] *= outputs[0].std() / outputs[1].std()
+    return u[:, early:], *outputs, rng
+
+
+def record(seed, samples=2000, *, forces=0.0, inputs=0.0, sensors=0.02, correlation=0.0, count=1):
+    """Recorded inputs and outputs; sizes are those of noise over those of what it is on."""
+    u, y, moved, rng = responses(seed, samples, count)
+    root = np.linalg.cholesky((1 - correlation) * np.eye(3) + correlation)
+    y = y + forces * moved + sensors * y.std() * root @ rng.standard_normal(y.shape)
+    return u + inputs * rng.standard_normal(u.shape), y
+
+
+def causes(result):
+    return {finding.cause.name for finding in result.findings}
+
+
+def fit_of(data, *order, **options):
+    return phc.pem(data, *order, dt=1.0, quantity="velocity", ports=PORTS, **options)
+
+
+@pytest.fixture(scope="module")
+def forced():
+    """The fit of a record in which forces make three tenths of the outputs."""
+    return fit_of(record(0, forces=0.3))
+
+
+def test_forces_are_named_with_their_share_and_add_no_modes(forced):
+    assert forced.order == 3 and not len(forced.real_poles) and forced.structure == "classical"
+    (finding,) = (finding for finding in forced.findings if finding.cause.name == "FORCES")
+    np.testing.assert_allclose(finding.values, 0.3 / np.hypot(1, 0.3), atol=0.1)
+    assert finding.gain > 100 and "were not measured" in forced.message
+    assert forced.success and forced.whiteness > 1e-3
+    # what white noise would be told with is far too sure: it takes the forces for noise that modes do not filter
+    white = fit_of(record(0, forces=0.3), 3, noise="white")
+    assert white.loglik < forced.loglik - 100 and "FORCES" not in causes(white)
+
+
+@pytest.mark.parametrize("size", [{"forces": 0.03}, {"forces": 0.3}, {"inputs": 0.05}])
+def test_modes_lie_within_their_intervals(size):
+    z = []
+    for seed in range(6):
+        result = fit_of(record(seed + 10, **size))
+        assert result.order == 3 and not len(result.real_poles)
+        z += [(result.natural_frequencies - W) / result.stderr["natural_frequencies"]]
+        z += [(result.damping_ratios - ZETA) / result.stderr["damping_ratios"]]
+    low, high = chi2.ppf([1e-3, 1 - 1e-3], np.size(z))
+    assert low < np.sum(np.square(z)) < high
+
+
+def test_shapes_scale_to_the_force_at_its_port(forced):
+    assert forced.shapes_scaled
+    error = forced.shapes.real - SHAPES.T
+    assert np.all(np.abs(error) < 4.5 * np.abs(forced.stderr["shapes"].real) + 1e-12)
+
+
+def test_a_given_number_of_modes_is_kept_beside_forces():
+    data = record(1, forces=0.3)
+    for order in (2, 3):
+        result = fit_of(data, order)
+        assert result.order == order and "FORCES" in causes(result)
+    assert fit_of(data, noise="forces").order == 3
+
+
+def test_white_noise_names_nothing_and_the_fit_is_that_of_white_noise():
+    for seed in range(4):
+        data = record(seed + 30)
+        result, white = fit_of(data), fit_of(data, noise="white")
+        assert not causes(result) & {"FORCES", "CORRELATED_NOISE"}
+        np.testing.assert_array_equal(result.poles, white.poles)
+
+
+@pytest.mark.parametrize("correlation", [0.5, 0.9])
+def test_sensors_that_share_noise_are_named_and_intervals_are_those_of_all_outputs(correlation):
+    data = record(3, sensors=0.3, correlation=correlation)
+    result = fit_of(data)
+    (finding,) = (finding for finding in result.findings if finding.cause.name == "CORRELATED_NOISE")
+    np.testing.assert_allclose(finding.values, correlation, atol=0.1)
+    covariance = result.noise.covariance
+    sizes = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose((covariance / np.outer(sizes, sizes))[np.triu_indices(3, 1)], correlation, atol=0.1)
+    assert result.noise.is_white
+    alone = fit_of(data, 3, noise="white", structure=result.structure)
+    assert result.loglik > alone.loglik + 100
+    # weights that know the correlation make sharper estimates of the same plant
+    assert np.all(result.stderr["natural_frequencies"] < alone.stderr["natural_frequencies"])
+    np.testing.assert_allclose(result.natural_frequencies, W, atol=5 * alone.stderr["natural_frequencies"].max())
+
+
+def test_the_noise_of_forces_predicts_a_step_ahead(forced):
+    u, y = record(50, forces=0.3)
+    simulated = phc.compare((u, y), forced, dt=1.0)
+    ahead = phc.compare((u, y), forced, dt=1.0, horizon=1)
+    assert np.all(np.mean(ahead.fit_percent) > np.mean(simulated.fit_percent) + 10)
+    errors = y - forced.predict((u, y), horizon=1).outputs
+    np.testing.assert_allclose(np.cov(errors), forced.noise.covariance, atol=0.15 * forced.noise.covariance.max())
+    assert phc.residual_analysis((u, y), forced, dt=1.0).whiteness > 1e-4
+
+
+def test_a_file_keeps_the_noise_of_forces(forced, tmp_path):
+    forced.save(tmp_path / "fit.json")
+    again = phc.load(tmp_path / "fit.json")
+    np.testing.assert_array_equal(again.noise.covariance, forced.noise.covariance)
+    np.testing.assert_array_equal(again.kalman_gain, forced.kalman_gain)
+    assert again.findings == forced.findings and str(again) == str(forced)
+
+
+def test_slow_noise_of_a_sensor_is_no_force():
+    rng, (u, y) = np.random.default_rng(4), record(4, sensors=0.0)
+    slow = lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], rng.standard_normal((3, 3000)))[:, 1000:]
+    result = fit_of((u, y + 0.3 * y.std() * slow))
+    assert result.order == 3 and "FORCES" not in causes(result)
+    np.testing.assert_allclose(result.damping_ratios, ZETA, atol=5 * result.stderr["damping_ratios"].max())
+
+
+def test_a_noise_that_is_unknown_is_refused():
+    with pytest.raises(phc.StructureError, match="noise is 'wind'; it must be one of 'auto', 'white', 'correlated'"):
+        fit_of(record(0, 300), noise="wind")
