@@ -157,6 +157,8 @@ def to_its_error(value: float, error: float) -> str:
     """Text of a number down to the second digit of its standard error, of few digits where that is not known."""
     if np.isnan(value) or not value:
         return "-" if np.isnan(value) else "0"
+    if np.isinf(value):
+        return str(value)
     power = int(np.floor(np.log10(abs(value))))
     fine = int(np.floor(np.log10(error))) if 0 < error < np.inf else power - _DIGITS // 2
     digits = min(max(power - fine + 2, 1), _MOST_DIGITS)

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 _FEW_MODES = 4  # that are tried for a motion that may be no decay
 _DECAYED = 4.0  # times the squares of the last quarter of a record in its first
+_FADED = 30.0  # times these: no motion that forces keep up
 _STILL = 3.0  # standard errors, or one over the record, that a decay rate of a tone may have
 _ROUNDS = 3  # of tones that are seen once others are named
 
@@ -60,9 +61,10 @@ def of_outputs_alone(
 ) -> PEMResult:
     """Take the likelier of a motion that decays and of one that forces keep up; the former where its noise is white."""
     given = options.noise == "forces"
-    decaying = not given and _decays(channels)
+    faded = 0.0 if given else _faded(channels)
+    decaying = faded > _DECAYED
     result = None if given else of_modes() if decaying or order != "auto" else of_modes(_FEW_MODES)
-    if result is not None and (result.whiteness >= WHITE or not result.success):
+    if result is not None and (result.whiteness >= WHITE or not result.success or faded > _FADED):
         return result
     count, real_poles = (value if isinstance(value, int) else None for value in (order, options.real_poles))
     search: _Search = partial(
@@ -109,8 +111,8 @@ def _bic_of(result: PEMResult) -> float:
     return result.bic if np.isfinite(result.bic) else np.inf
 
 
-def _decays(channels: Sequence[Recording]) -> bool:
-    """Whether outputs move far less in the last quarter of the records than in the first."""
+def _faded(channels: Sequence[Recording]) -> float:
+    """How many times the squares of the last quarter of the records outputs have in the first."""
     first = last = 0.0
     for data in channels:
         y = data.y - data.y.mean(axis=1, keepdims=True)
@@ -118,7 +120,7 @@ def _decays(channels: Sequence[Recording]) -> bool:
         part = max(1, data.samples // 4)
         first += float(np.sum(np.sum(y[:, :part] ** 2, axis=1) / size))
         last += float(np.sum(np.sum(y[:, -part:] ** 2, axis=1) / size))
-    return first > _DECAYED * last
+    return first / max(last, float(np.finfo(float).tiny))
 
 
 # --- shapes ----------------------------------------------------------------------------------------------------------

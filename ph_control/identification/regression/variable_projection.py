@@ -120,7 +120,7 @@ def _descend(problem: Minimisation[Projection], state: Refinement[Projection], r
         if not last:
             return
     trial = problem.project(problem.inside(current.x + step))
-    ratio = (current.loss - trial.loss) / max(2 * promised, np.finfo(float).tiny)
+    ratio = float(current.loss - trial.loss) / max(2 * float(promised), float(np.finfo(float).tiny))
     # the last step shortens the way to the minimum also where its gain drowns in the rounding of the loss
     if trial.loss < current.loss or (state.converged and trial.loss <= current.loss * (1 + problem.samples * EPS)):
         state.projection = trial

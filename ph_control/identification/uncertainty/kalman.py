@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import control as ct
 import numpy as np
-from scipy.linalg import expm, logm
+from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from ..._types import Array, Mask
@@ -196,7 +196,9 @@ def continuous_gain(A: Array, C: Array, noise: NoiseModel) -> Array:
         step = expm(A * h)
         discrete, _ = steady_gain(step, C, noise.forces, noise.covariance, noise.cross)
         # the gain whose error dies away from sample to sample as that of the discrete filter
-        closed = logm(step - discrete @ C)
+        poles, vectors = np.linalg.eig(step - discrete @ C)
+        rates = np.log(np.where(poles == 0, np.finfo(float).tiny, poles).astype(complex))
+        closed = np.linalg.solve(vectors.T, (vectors * rates).T).T
         return np.asarray(np.linalg.lstsq(C.T, (A - np.real(closed) / h).T, rcond=None)[0].T)
     Q = np.zeros((n, n)) if noise.forces is None else intensity_of(A, noise.forces, h)
     rates = np.array([np.linalg.eigvals(A[np.ix_(part, part)]).real.max() for part in _parts(A)])
