@@ -473,7 +473,15 @@ def _with_real_poles(fit: FreeFit, order: int, max_order: int, again: Callable[.
         or not (_broad(fit.projection.p).any() or not is_white(fit.projection))
     ):
         return fit
-    wider = again("auto", max_order=min(order, max_order))
+    most = min(order, max_order)
+    # first under the circumstances that there are
+    same = {"delay": fit.delay, "input_delay": fit.input_delay, "intersample": fit.intersample}
+    trial = again("auto", max_order=most, beside=lambda fit, orders: fit, **same)
+    if trial.interrupted:
+        return replace(fit, interrupted=True)
+    if not _real(trial.projection.p) or trial.criteria.bic >= fit.criteria.bic:
+        return fit
+    wider = again("auto", max_order=most)
     real = _real(wider.projection.p)
     fewer = order - real // 2 - wider.order
     if wider.interrupted:
