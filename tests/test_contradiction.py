@@ -201,7 +201,7 @@ def test_a_pair_closer_than_the_record_resolves_stays_lossless():
     """Free poles of such a pair may lie anywhere near it; the lossless minimum is not judged by where they are."""
     step, rejected = 2 * np.pi / 2000, 0
     plant = phc.ph(phc.modes(1.0 + np.array([0.0, 0.2]) * step, [1.0, 0.5]))
-    for seed in range(14):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         u, t = rng.standard_normal(2000), np.arange(2000.0)
         y = np.asarray(phc.forced_response(plant, t, u, return_states=False, intersample="zoh").outputs)

@@ -147,7 +147,7 @@ def test_no_delay_is_found_where_there_is_none():
 
 
 def test_the_error_of_a_delay_is_what_it_errs_by():
-    delays = 0.05 * np.random.default_rng(0).integers(1, 40, 16)
+    delays = 0.05 * np.random.default_rng(0).integers(1, 40, 10)
     z = []
     for seed, delay in enumerate(delays.tolist()):
         result = fitted(*skewed(100 + seed, (delay,) * 2, samples=900)[:2])
