@@ -326,7 +326,7 @@ def _beside_changing_noise(alone: _Searched, searched: Callable[[Channels], _Sea
 
 def _same_levels(levels: Sequence[Array | None], channels: Channels) -> bool:
     """Whether levels of noise are nearly those that recordings have."""
-    known = [getattr(channel, "level", None) for channel in channels]
+    known = [_level_of(channel) for channel in channels]
     return all(
         (new is None and old is None)
         or (new is not None and old is not None and np.mean(np.abs(np.log(new / old))) < _SAME_LEVEL)

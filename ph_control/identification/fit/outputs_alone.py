@@ -338,10 +338,10 @@ def _experiments(
     root = np.linalg.cholesky(fit.evaluation.covariance)
     triples = zip(channels, fit.evaluation.problem.experiments, fit.evaluation.errors, strict=True)
     for k, (channel, experiment, spectrum) in enumerate(triples):
-        left = np.fft.irfft(spectrum, channel.samples) * np.sqrt(experiment.samples)
+        residuals = np.fft.irfft(spectrum, channel.samples) * np.sqrt(experiment.samples)
         # the test takes series that are independent of one another
-        errors.extend(solve_triangular(root, left, lower=True))
-        predicted = channel.y - left * fit.scales[:, None]
+        errors.extend(solve_triangular(root, residuals, lower=True))
+        predicted = channel.y - residuals * fit.scales[:, None]
         experiments.append(FittedChannels(channel, np.zeros((poles, p), complex), fit.means[k], np.zeros(p), predicted))
     return tuple(experiments), ljung_box(errors, TUNING.lags)
 

@@ -79,8 +79,8 @@ def pem(
         which the structure is simpler or shapes are more nearly real, and else 'zoh'.  Of a response with a window also
         'bandlimited', as behind the filters of an analyser; a response with a `dt` is that of samples, any other was
         divided by that of the hold.  'auto' takes what the response states by an attribute `intersample`, and else the
-        first of these that leaves white residuals and
-        a structure with classical damping, if any does, of samples that were not divided by that of the hold as well.
+        first of these that leaves white residuals and a structure with classical damping, if any does, of samples that
+        were not divided by that of the hold as well.
     initial_state : {'estimate', 'zero'}
         Whether the records may start in motion.
     offset : bool or 'auto'

@@ -191,11 +191,11 @@ def _telling(
     """What tells of the steps of a minimisation."""
     report = reports(int(np.sum(start.poles.imag > 0)))
 
-    def told(step: int, evaluation: LikelihoodEvaluation) -> None:
+    def tell(step: int, evaluation: LikelihoodEvaluation) -> None:
         if report is not None:
             report(step, float(np.exp(np.linalg.slogdet(evaluation.covariance)[1] / evaluation.p)))
 
-    return told
+    return tell
 
 
 @dataclass(frozen=True, eq=False)

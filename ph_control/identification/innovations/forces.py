@@ -97,8 +97,7 @@ class FittedNoise:
     @cached_property
     def correlations(self) -> Array:
         """Correlations (p, p) of the innovations."""
-        sizes = np.sqrt(np.diag(self.covariance))
-        return np.asarray(self.covariance / np.outer(sizes, sizes))
+        return _correlations(self.covariance)
 
 
 def beside_forces(
@@ -139,16 +138,13 @@ def beside_known_forces(free: FreeFit, noise: NoiseSections) -> FreeFit:
 
     What white noise would make of poles plays no part.  The same where the record does not allow the likelihood.
     """
-    rows = _rows(free)
-    if rows is None:
-        return free
-    fed, sections = free.projection.fed, noise.sections
-    experiments = experiments_of(FreeProjection(rows, sections.p, fed, sections), free.channels)
-    size = _unknowns(rows, sections, len(free.scales))
-    count = sum(record.samples * len(record.outputs) for record in rows)
-    if experiments is None or size > _UNKNOWNS or size * count > _NUMBERS or count < _SPARE * size:
+    rows, sections, fed = _rows(free), noise.sections, free.projection.fed
+    if rows is None or not _is_feasible(rows, sections, len(free.scales)):
         return free
     projection = FreeProjection(rows, sections.p, fed, sections)
+    experiments = experiments_of(projection, free.channels)
+    if experiments is None:
+        return free
     scaled = noise.moved(sections, noise.C / free.scales[:, None], noise.K * free.scales)
     problem = Problem(experiments, projection.shown, fed=fed)
     try:
@@ -255,7 +251,7 @@ def _autoregressions(evaluation: LikelihoodEvaluation, charge: float) -> tuple[f
     samples, shortest = problem.samples, min(experiment.samples for experiment in problem.experiments)
     most = min(_LONGEST_PAST, shortest // 4)
     products = np.zeros((evaluation.p, most + 1))
-    for experiment, noise in zip(problem.experiments, evaluation.left, strict=True):
+    for experiment, noise in zip(problem.experiments, evaluation.disturbances, strict=True):
         # without the constant, which slow noise can hardly be told from
         power = np.abs(noise) ** 2 * (experiment.z != 1)
         products += np.fft.irfft(power, experiment.samples)[:, : most + 1] * experiment.samples
@@ -327,7 +323,7 @@ def _without(best: Minimum, section: int) -> Minimum:
         noise, sections=Sections.from_coordinates(noise.sections.x[kept]), C=noise.C[:, states], K=noise.K[states],
         references=np.delete(noise.references, section),
     )  # fmt: skip
-    return _followed(*_on_sections(best, fewer), steps=_STEPS)
+    return _followed(*_begun(best, _driven(best, fewer.sections), fewer), steps=_STEPS)
 
 
 def _with_mode(best: Minimum, pole: complex) -> Start:
@@ -341,16 +337,16 @@ def _with_mode(best: Minimum, pole: complex) -> Start:
     wider = Sections.from_coordinates(
         np.concatenate([sections.decay, [-pole.real], sections.square, [pole.imag**2], sections.rates])
     )
-    problem, point = _on_sections(best, replace(noise, sections=wider))
-    rows = [part for experiment in problem.experiments for part in experiment.rows]
-    start = initial_noise(FreeProjection(rows, wider.p, problem.fed, wider), noise.step)
+    driven = _driven(best, wider)
+    start = initial_noise(driven, noise.step)
     states = np.delete(np.arange(start.states), [2 * k, 2 * k + 1])
     C, K = start.C.copy(), start.K.copy()
     C[:, states], K[states] = noise.C, noise.K
-    point = replace(point, noise=replace(start, C=C, K=K, references=np.append(noise.references, pole.imag)))
+    references = np.append(noise.references, pole.imag)
+    problem, point = _begun(best, driven, replace(start, C=C, K=K, references=references))
     width = len(known.shared) // problem.inputs
     places = [width * i + part + place for i in range(problem.inputs) for part in (0, n)]
-    moving = [part.moving for part in rows]
+    moving = [part.moving for experiment in problem.experiments for part in experiment.rows]
     nested = replace(
         point, shared=np.insert(known.shared, places, 0.0, axis=0),
         own=tuple(
@@ -361,14 +357,19 @@ def _with_mode(best: Minimum, pole: complex) -> Start:
     return problem, min((point, nested), key=lambda model: problem.at(model).cost)
 
 
-def _on_sections(best: Minimum, noise: NoiseSections) -> Start:
-    """The data and a model on other sections, all that is driven as in white noise."""
+def _driven(best: Minimum, sections: Sections) -> FreeProjection:
+    """The data on other sections, all that is driven as in white noise."""
     problem = best.evaluation.problem
     rows = [part for experiment in problem.experiments for part in experiment.rows]
-    start = FreeProjection(rows, noise.sections.p, problem.fed, noise.sections)
+    return FreeProjection(rows, sections.p, problem.fed, sections)
+
+
+def _begun(best: Minimum, driven: FreeProjection, noise: NoiseSections) -> Start:
+    """The data and a model with what is driven on these sections, and a noise."""
+    problem = best.evaluation.problem
     return (
-        Problem(problem.experiments, start.shown, problem.coloured, problem.fed),
-        InnovationsModel(noise, start.shared, tuple(start.own)),
+        Problem(problem.experiments, driven.shown, problem.coloured, problem.fed),
+        InnovationsModel(noise, driven.shared, tuple(driven.own)),
     )
 
 
@@ -406,21 +407,30 @@ def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> Start 
     sections = Sections.from_coordinates(x)
     if np.any(-sections.p.real < 0.5 * least):
         return None
-    fed = free.projection.fed
-    size = _unknowns(rows, sections, len(free.scales))
-    count = sum(record.samples * len(record.outputs) for record in rows)
-    if size > _UNKNOWNS or size * count > _NUMBERS or count < _SPARE * size:
+    if not _is_feasible(rows, sections, len(free.scales)):
         return None
+    fed = free.projection.fed
     projection = FreeProjection(rows, sections.p, fed, sections)
     experiments = experiments_of(projection, free.channels)
     if experiments is None or projection.deficiency:
         return None
     if np.any(x != known):
         before = FreeProjection(rows, Sections.from_coordinates(known).p, fed).loss
-        if projection.loss > (1 + 2 * TUNING.sure / count) * before:
+        if projection.loss > (1 + 2 * TUNING.sure / _samples(rows)) * before:
             return None
     point = InnovationsModel(initial_noise(projection, rows[0].hold.h), projection.shared, tuple(projection.own))
     return Problem(experiments, projection.shown, fed=fed), point
+
+
+def _samples(rows: Sequence[FreeRecord]) -> int:
+    """Samples of all outputs."""
+    return sum(record.samples * len(record.outputs) for record in rows)
+
+
+def _is_feasible(rows: Sequence[FreeRecord], sections: Sections, outputs: int) -> bool:
+    """Whether the likelihood takes no more than seconds a step, and samples are many enough for its unknowns."""
+    size, count = _unknowns(rows, sections, outputs), _samples(rows)
+    return size <= _UNKNOWNS and size * count <= _NUMBERS and count >= _SPARE * size
 
 
 def _unknowns(rows: Sequence[FreeRecord], sections: Sections, outputs: int) -> int:
@@ -470,10 +480,13 @@ def _alone(free: FreeFit, white: LikelihoodEvaluation) -> float:
 
 def _are_correlated(white: LikelihoodEvaluation) -> bool:
     """Whether residuals of different outputs go together at the same sample."""
-    sizes = np.sqrt(np.diag(white.covariance))
-    determinant = np.linalg.slogdet(white.covariance / np.outer(sizes, sizes))[1]
-    p = len(sizes)
-    return bool(chdtrc(p * (p - 1) // 2, -white.problem.samples * determinant) < _SCREEN)
+    determinant = np.linalg.slogdet(_correlations(white.covariance))[1]
+    return bool(chdtrc(white.p * (white.p - 1) // 2, -white.problem.samples * determinant) < _SCREEN)
+
+
+def _correlations(covariance: Array) -> Array:
+    sizes = np.sqrt(np.diag(covariance))
+    return np.asarray(covariance / np.outer(sizes, sizes))
 
 
 def _hints_at_forces(white: LikelihoodEvaluation) -> bool:
@@ -541,10 +554,10 @@ def _finding(free: FreeFit, noise: FittedNoise, evaluation: LikelihoodEvaluation
     labels = free.channels[0].output_labels
     if noise.is_coloured:
         squares, noises = np.zeros((2, len(labels)))
-        for experiment, left in zip(evaluation.problem.experiments, evaluation.left, strict=True):
+        for experiment, disturbance in zip(evaluation.problem.experiments, evaluation.disturbances, strict=True):
             moving = experiment.counts * (experiment.z != 1)
             squares += np.abs(experiment.Y) ** 2 @ moving
-            noises += np.abs(left) ** 2 @ moving
+            noises += np.abs(disturbance) ** 2 @ moving
         return Finding(Cause.FORCES, tuple(np.sqrt(noises / squares).tolist()), gain)
     apart = np.triu(noise.correlations, 1)
     a, b = np.unravel_index(int(np.argmax(np.abs(apart))), apart.shape)

@@ -198,7 +198,7 @@ class LikelihoodEvaluation:
         return [experiment.parts(self.point.poles) for experiment in self.problem.experiments]
 
     @cached_property
-    def left(self) -> list[ComplexArray]:
+    def disturbances(self) -> list[ComplexArray]:
         """Noise (p, bins) of each experiment: outputs less what the plant makes of inputs and first states."""
         noises, own = [], iter(self.point.own)
         states = iter(self.point.states)
@@ -227,9 +227,9 @@ class LikelihoodEvaluation:
     def errors(self) -> list[ComplexArray]:
         """Prediction errors (p, bins) of each experiment."""
         if not self.problem.coloured:
-            return self.left
+            return self.disturbances
         errors, noise = [], self.point.noise
-        for experiment, V in zip(self.problem.experiments, self.left, strict=True):
+        for experiment, V in zip(self.problem.experiments, self.disturbances, strict=True):
             each = np.empty(V.shape, complex)
             for bins in pieces(len(experiment.z), self.p * (self.p + noise.states)):
                 each[:, bins] = noise.errors(experiment.z[bins], V[:, bins])
@@ -551,8 +551,3 @@ def _product(first: ComplexArray, second: ComplexArray, counts: Array) -> Array:
     right = second.reshape(len(second), -1)
     total = (left.real.T @ right.real - left.imag.T @ right.imag).reshape(shape)
     return np.asarray(total.transpose(0, 2, 1, 3).reshape(shape[0] * shape[2], shape[1] * shape[3]))
-
-
-def with_noise(point: InnovationsModel, noise: NoiseSections) -> InnovationsModel:
-    """The same model with another noise."""
-    return replace(point, noise=noise)

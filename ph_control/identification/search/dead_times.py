@@ -222,16 +222,16 @@ class _DeadTimeProblem:
 
     def noise(self, samples: Indices) -> tuple[Array, ...]:
         """Innovations filters of what models with these dead times leave of each output, in rows as recorded."""
-        left = dict[int, list[Array]]()
+        residuals = dict[int, list[Array]]()
         for group in self.groups:
             rest = _rest(group.columns(samples, range(len(samples))), group.targets)
             for part in group.parts:
                 for output, values in zip(group.outputs.tolist(), rest[part].T, strict=True):
-                    left.setdefault(output, []).append(values)
+                    residuals.setdefault(output, []).append(values)
         filters = []
-        for output in sorted(left):
-            lengths = [len(values) for values in left[output]]
-            products = correlations([np.fft.rfft(values) for values in left[output]], lengths)
+        for output in sorted(residuals):
+            lengths = [len(values) for values in residuals[output]]
+            products = correlations([np.fft.rfft(values) for values in residuals[output]], lengths)
             orders = NoiseOrders(*autoregression(products, min(lengths)))
             filters.append(orders.innovations(sum(lengths), 2 * self.each))
         return tuple(filters)

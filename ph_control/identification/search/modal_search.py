@@ -312,21 +312,14 @@ def free_fit(
     StructureError
         If an entry of the response matrices was measured in none of them.
     """
-    if is_long(channels):
+    changing = any(isinstance(channel, Recording) and len(channel.changes) for channel in channels)
+    if changing or is_long(channels):
         how: dict[str, Any] = {
             "quantities": quantities, "moving": moving, "criterion": criterion, "reports": reports,
             "real_poles": real_poles, "method": method,
         }  # fmt: skip
-        return _of_long(
-            channels, order, intersample, offset, how, max_order=max_order, start=start, delay=delay,
-            input_delay=input_delay,
-        )  # fmt: skip
-    if any(isinstance(channel, Recording) and len(channel.changes) for channel in channels):
-        how = {
-            "quantities": quantities, "moving": moving, "criterion": criterion, "reports": reports,
-            "real_poles": real_poles, "method": method,
-        }  # fmt: skip
-        return _in_changing_noise(
+        by_parts = _of_long if is_long(channels) else _in_changing_noise
+        return by_parts(
             channels, order, intersample, offset, how, max_order=max_order, start=start, delay=delay,
             input_delay=input_delay,
         )  # fmt: skip
