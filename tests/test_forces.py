@@ -8,6 +8,9 @@ from scipy.stats import chi2
 
 import ph_control as phc
 
+# in one process: its records are fitted once for all tests
+pytestmark = pytest.mark.xdist_group("forces")
+
 W, ZETA = np.array([0.6, 1.1, 1.7]), np.array([0.012, 0.008, 0.015])
 SHAPES = np.array([[0.8, 1.0, -0.7], [1.2, -0.5, 0.9], [0.6, -1.1, -0.8]])  # of three floors, a column each mode
 PORTS = [(0, 0)]

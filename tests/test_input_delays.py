@@ -8,6 +8,9 @@ from scipy.signal import lfilter
 
 import ph_control as phc
 
+# in one process: its records are fitted once for all tests
+pytestmark = pytest.mark.xdist_group("input delays")
+
 DT = 0.5
 LAGS = np.array([8.0, 3.0])  # in units of time
 GAINS = np.array([[1.0, -0.7, 0.5], [0.4, 0.8, -0.6]])  # of two outputs, from three inputs

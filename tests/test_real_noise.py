@@ -17,7 +17,7 @@ def causes(result):
 
 @pytest.mark.parametrize(("outputs", "inputs"), [(1, 1), (3, 2)])
 def test_noise_that_grows_with_the_gain_adds_no_modes_and_its_intervals_hold(outputs, inputs):
-    found = study(3, outputs, inputs, "gain", 3, structure="free")
+    found = study(3, outputs, inputs, "gain", 2, structure="free")
     assert found.right == 1 and found.cover > 0.8
 
 
@@ -65,7 +65,7 @@ def test_hits_keep_their_shapes_where_the_recorded_force_is_noisy():
         motion = phc.forced_response(tower, fine, np.outer(place, force), intersample="foh").outputs[2, ::16]
         noise = rng.standard_normal((2, len(motion)))
         hits.append((np.outer(place, force[::16] + noise[0]), motion + 0.002 * motion.std() * noise[1]))
-    result = phc.pem(hits, 3, dt=0.005, ports=[(0, 2)], intersample="foh")
+    result = phc.pem(hits, 3, dt=0.005, ports=[(0, 2)], intersample="foh", real_poles=0)
     assert "INPUT_NOISE" in causes(result)
     found, true = result.participation, phc.modes(tower).participation
     alike = np.abs(np.sum(found.conj() * true, axis=1)) ** 2

@@ -6,6 +6,9 @@ from scipy.signal import lfilter
 
 import ph_control as phc
 
+# in one process: its records are fitted once for all tests
+pytestmark = pytest.mark.xdist_group("unequal noise")
+
 STEP, SAMPLES = 0.3, 800
 POLES = np.array([-0.01 + 1j, -0.03 + 2j, -0.02 + 3.3j])
 SHAPES = np.random.default_rng(5).standard_normal((3, 2))

@@ -312,7 +312,7 @@ def short_data(kind, seed):
 @pytest.mark.parametrize("kind", ["experiments", "free motion", "response"])
 def test_p_values_of_fits_to_short_data_of_every_kind_are_uniform(kind):
     """Of these data a tenth is fitted: a test that does not know would refuse too often, or too seldom."""
-    runs, p_values = 60, []
+    runs, p_values = 40, []
     for seed in range(runs):
         data, options = short_data(kind, seed)
         # a constant that was estimated leaves no mean to test
