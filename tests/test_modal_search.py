@@ -267,7 +267,7 @@ def test_the_flexible_robot_arm_has_two_modes():
 
 def test_the_arm_of_a_compact_disc_player_is_explained_by_ten_modes():
     z = loadmat(measured("CD_player_arm_dat.mat"))["CD_player_arm_dat"].T
-    z = z[:, :1000]
+    z = z[:, :600]
     fit = fitted((z[:2], z[2:]), 10)
     left = np.nan_to_num(fit.experiments[0].residuals)  # the first of outputs that are late are not predicted
     share = np.linalg.norm(left, axis=1) / np.linalg.norm(z[2:] - z[2:].mean(axis=1)[:, None], axis=1)

@@ -189,6 +189,7 @@ def test_an_entry_that_shows_nothing_does_not_hide_the_modes(kind):
     elif kind == "an input of zeros":
         G[:, 1] = 0
     elif kind == "an entry of five lines":
+        G, omega = G[..., ::3], omega[::3]
         G[1, 1, 5:] = np.nan
     else:
         G[:, :, 0], omega[0] = 0, 0
