@@ -14,8 +14,10 @@ FOLDERS = {
     "identification.validation": "models on new data",
     "identification.many": "many recordings, tracking",
     "identification.fit": "pem and its result",
+    "identification.judge": "residuals, evidence, outcome",
+    "identification.estimates": "parameters with errors",
     "identification.structure": "fits with a structure",
-    "identification.diagnosis": "tests of a fit, verdict",
+    "identification.diagnosis": "disturbances of a fit",
     "identification.innovations": "noise through the plant",
     "identification.search": "order, initial estimates",
     "identification.excitation": "parameters that inputs excite",
@@ -45,8 +47,8 @@ WAYS = {
         "#2c5aa0",
         [
             "identification.fit", "identification.data", "identification.search", "identification.regression",
-            "identification.search", "identification.structure", "identification.uncertainty",
-            "identification.excitation", "identification.diagnosis", "identification.fit",
+            "identification.search", "identification.diagnosis", "identification.structure",
+            "identification.estimates", "identification.judge", "identification.fit",
         ],
     ),
 }  # fmt: skip

@@ -56,6 +56,7 @@ from .exceptions import ResolutionWarning as ResolutionWarning
 from .exceptions import StructureError as StructureError
 from .exceptions import UnknownKeywordError as UnknownKeywordError
 from .identification.data.data_frames import recording as recording
+from .identification.estimates.stabilisation import Stabilisation as Stabilisation
 from .identification.excitation.excitation import excitation as excitation
 from .identification.excitation.report import Excitation as Excitation
 from .identification.fit.bootstrap import Bootstrap as Bootstrap
@@ -64,7 +65,6 @@ from .identification.fit.gradient import gradient_descent as gradient_descent
 from .identification.fit.pem import pem as pem
 from .identification.fit.pem import prediction_error_fit as prediction_error_fit
 from .identification.fit.pem_result import PEMResult as PEMResult
-from .identification.fit.stabilisation import Stabilisation as Stabilisation
 from .identification.many.fit_many import RecordingFitted as RecordingFitted
 from .identification.many.fit_many import fit_many as fit_many
 from .identification.many.fit_table import FitTable as FitTable

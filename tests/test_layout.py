@@ -19,8 +19,8 @@ ORDER = (
     "", "numerics", "symplectic", "modal", "systems", "structures", "equivalence", "analysis", "reduction",
     "controllers", "plotting", "io", "circuits", "identification.data", "identification.regression",
     "identification.uncertainty", "identification.excitation", "identification.search", "identification.innovations",
-    "identification.diagnosis", "identification.structure", "identification.fit", "identification.many",
-    "identification.validation", "cli", "cli.commands",
+    "identification.diagnosis", "identification.structure", "identification.estimates", "identification.judge",
+    "identification.fit", "identification.many", "identification.validation", "cli", "cli.commands",
 )  # fmt: skip
 
 DOCS = PACKAGE.parent / "docs"

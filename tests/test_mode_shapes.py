@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ph_control as phc
-from ph_control.identification.fit.scaled_shapes import ModeShapes, shape_jacobian
+from ph_control.identification.estimates.scaled_shapes import ModeShapes, shape_jacobian
 from ph_control.numerics.mode_shapes import Stability, aligned_shapes, mac, phase_collinearity, stable_poles
 
 EPS = np.finfo(float).eps

@@ -215,6 +215,9 @@ class ResponseMatrix(InFrequency):
         return f"<ResponseMatrix: {self.samples} frequencies, {_shape(self)}>"
 
 
+Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
+
+
 def _shape(experiment: Recording | ResponseMatrix) -> str:
     inputs, outputs = len(experiment.input_labels), len(experiment.output_labels)
     return f"{outputs} output{'s' * (outputs != 1)} from {inputs} input{'s' * (inputs != 1)}"

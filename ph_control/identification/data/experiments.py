@@ -13,6 +13,7 @@ from control import FrequencyResponseData, TimeResponseData
 from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
 from .channels import (
+    Channels,
     Recording,
     ResponseMatrix,
     Sampling,
@@ -87,9 +88,7 @@ def as_experiments(
     return _each_experiment(data, dt, weights, lambda *arguments: map(single, take(*arguments)))
 
 
-def as_channels(
-    data: Any, dt: Any = None, *, weights: Any = None, window: Any = None, hold: str = "auto"
-) -> tuple[Recording, ...] | tuple[ResponseMatrix, ...]:
+def as_channels(data: Any, dt: Any = None, *, weights: Any = None, window: Any = None, hold: str = "auto") -> Channels:
     """Make checked experiments of several inputs and outputs, all in time or all in frequency.
 
     Parameters

@@ -234,3 +234,9 @@ def levels_of(findings: Sequence[Finding], channels: Sequence[Any]) -> list[Arra
             level[which] = each
         levels.append(level if told_of else None)
     return levels
+
+
+def level_of(channel: Any) -> Array | None:
+    """Level of the noise of a recording (p, T), None where it does not change."""
+    level: Array | None = getattr(channel, "level", None)
+    return level

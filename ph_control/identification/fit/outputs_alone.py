@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -14,25 +14,25 @@ from scipy.special import chdtrc
 from ..._display import counted, p_value
 from ..._types import Array, ComplexArray
 from ...exceptions import IdentificationError, StructureError
-from ..data.channels import Recording, single
+from ..data.channels import Channels, Recording, single
 from ..diagnosis.hum import Tones, tones_near
 from ..diagnosis.verdict import CUT_SHORT, WHITE, HypothesisTest, Outcome
+from ..estimates.scaled_shapes import ModeShapes, shape_errors
 from ..innovations.ambient import AmbientFit, AmbientOrder, ambient_fit, shapes_of
 from ..innovations.forces import FittedNoise
 from ..innovations.noise_sections import NoiseSections
+from ..judge.evidence import rejections
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.prediction import FittedExperiment, joint_percent, shares_left
 from ..regression.tuning import TUNING
-from ..search.circumstances import REJECTED, Cause, Finding, sentence_of
+from ..search.circumstances import Cause, Finding, sentence_of
 from ..search.progress import reporter
+from ..structure.choice import Request
 from ..structure.hypothesis_tests import LEVEL
 from ..uncertainty.residual_tests import ljung_box
+from .options import Options
 from .pem_result import PEMResult
 from .result import OrderRow
-from .scaled_shapes import ModeShapes, shape_errors
-
-if TYPE_CHECKING:
-    from .modal_fit import Channels, Options, Request
 
 _FEW_MODES = 4  # that are tried for a motion that may be no decay
 _DECAYED = 4.0  # times the squares of the last quarter of a record in its first
@@ -60,12 +60,23 @@ def of_outputs_alone(
     channels: list[Recording], request: Request, options: Options, order: int | str, of_modes: Callable[..., PEMResult]
 ) -> PEMResult:
     """Take the likelier of a motion that decays and of one that forces keep up; the former where its noise is white."""
-    given = options.noise == "forces"
-    faded = 0.0 if given else _faded(channels)
-    decaying = faded > _DECAYED
-    result = None if given else of_modes() if decaying or order != "auto" else of_modes(_FEW_MODES)
-    if result is not None and (result.whiteness >= WHITE or not result.success or faded > _FADED):
+    if options.noise == "forces":
+        return _of_forces(channels, request, options, order, None) or of_modes()
+    faded = _faded(channels)
+    complete = faded > _DECAYED or order != "auto"
+    result = of_modes() if complete else of_modes(_FEW_MODES)
+    if result.whiteness >= WHITE or not result.success or faded > _FADED:
         return result
+    forced = _of_forces(channels, request, options, order, result)
+    if forced is not None:
+        return forced
+    return result if complete else of_modes()
+
+
+def _of_forces(
+    channels: list[Recording], request: Request, options: Options, order: int | str, decaying: PEMResult | None
+) -> PEMResult | None:
+    """The motion that forces keep up; None if there is none, or if that of a result which decays is likelier."""
     count, real_poles = (value if isinstance(value, int) else None for value in (order, options.real_poles))
     search: _Search = partial(
         ambient_fit, order=count, real_poles=real_poles, max_order=options.max_order,
@@ -74,22 +85,18 @@ def of_outputs_alone(
     )  # fmt: skip
     fit = search(channels)
     if fit is None:
-        if result is None:
+        if decaying is None:
             raise IdentificationError(_nothing_fits(channels, count, real_poles))
-        return of_modes()
-    if result is not None and _bic_of(result) <= fit.criteria.bic and not fit.minimum.interrupted:
-        return result if decaying or order != "auto" else of_modes()
-    gain = 0.0 if result is None else fit.criteria.loglik - result.loglik
+        return None
+    if decaying is not None and _bic_of(decaying) <= fit.criteria.bic and not fit.minimum.interrupted:
+        return None
+    gain = 0.0 if decaying is None else fit.criteria.loglik - decaying.loglik
     findings = list[Finding]()
     if order == "auto":
         fit, findings = _beside_tones(fit, channels, search)
     fit, tests = _of_structure(fit, request)
-    findings += [
-        Finding(REJECTED[test.hypothesis], (test.p, float(test.dof)), 0.5 * test.likelihood_ratio)
-        for test in tests if test.p < LEVEL
-    ]  # fmt: skip
     most = options.max_order if order == "auto" else None
-    return _result(channels, fit, request.quantities, gain, most, findings, tests)
+    return _result(channels, fit, request.quantities, gain, most, [*findings, *rejections(tests)], tests)
 
 
 def _nothing_fits(channels: Sequence[Recording], order: int | None, real_poles: int | None) -> str:

@@ -18,9 +18,10 @@ from ..diagnosis.verdict import WHITE, Outcome
 from ..search.circumstances import Cause, Finding
 from ..search.criteria import CRITERIA
 from ..search.progress import Callback
-from .modal_fit import Options, fit_channels, request_of, starting_poles
+from ..structure.hypothesis_tests import STRUCTURES
+from .modal_fit import fit_channels
+from .options import Options, request_of, starting_poles
 from .pem_result import PEMResult
-from .result import STRUCTURES
 
 REPRESENTATIONS = ("observable", "controllable")
 NOISES = ("auto", "white", "correlated", "coloured", "forces")

@@ -28,6 +28,8 @@ from ..data.experiments import as_channels
 from ..data.time_record import InTime
 from ..data.windowed import response_through
 from ..diagnosis.verdict import HypothesisTest, Outcome
+from ..estimates.scaled_shapes import ModeShapes, Ports
+from ..estimates.stabilisation import Orders
 from ..innovations.ambient import orders_of
 from ..regression.free import Lateness
 from ..regression.free_prediction import (
@@ -49,8 +51,6 @@ from .bootstrap import Resampled
 from .prediction_ahead import Foretelling, ahead, ahead_of_growth, checked_horizon, grows
 from .report import ModalReport
 from .result import FittedModes, OrderRow
-from .scaled_shapes import ModeShapes, Ports
-from .stabilisation import Orders
 
 _MADE_AGAIN = ("system", "observed_system", "_noisy_plant", "_filter")
 _NO_SIZE = 1e-9  # of the largest singular value of a residue: what a state of its own does not stand for

@@ -27,11 +27,9 @@ from ...plotting.frf_plot import frf_plot
 from ...plotting.shape_plot import circle_plot, mac_plot, over_inputs, shape_plot
 from ...plotting.validation_plot import hypothesis_plot, stabilisation_plot
 from ..diagnosis.verdict import CUT_SHORT, Outcome
+from ..estimates.stabilisation import Stabilisation, compared
 from ..regression.prediction import chosen_experiment, joint_percent, shares_left
 from ..uncertainty.draws import intervals
-from .stabilisation import Stabilisation, compared
-
-STRUCTURES = ("lossless", "classical", "passive", "free")  # the simplest first
 
 
 @dataclass(frozen=True)

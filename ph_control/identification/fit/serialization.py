@@ -25,10 +25,11 @@ from ..diagnosis.verdict import Outcome
 from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import QUANTITIES
 from ..regression.prediction import FittedExperiment, ResponseBackground
+from ..structure.hypothesis_tests import STRUCTURES
 from ..structure.layout import POWERS, residue_of_unit_weight
 from ..uncertainty.noise_model import NoiseModel
 from .pem_result import PEMResult
-from .result import STRUCTURES, OrderRow
+from .result import OrderRow
 
 _KEYS = {"u": "input", "y": "output", "outcome": "verdict"}  # fields under another name in a document
 _WORDS = {

@@ -20,6 +20,7 @@ from ..search.circumstances import Cause, Finding, foretold
 from ..search.criteria import Criteria
 from ..search.modal_search import FreeFit
 from ..uncertainty.noise_model import NoiseModel
+from ..uncertainty.residual_tests import ljung_box
 from .joint import JointProjection, Quadratic
 from .minimum import Experiment, InnovationsModel, LikelihoodEvaluation, Minimum, Problem, minimise
 from .missing_mode import missing_mode
@@ -95,6 +96,11 @@ class FittedNoise:
         return bool(self.sections.K.any())
 
     @cached_property
+    def whiteness(self) -> float:
+        """p-value of white prediction errors."""
+        return ljung_box([row for errors in self.errors for row in errors], TUNING.lags)
+
+    @cached_property
     def correlations(self) -> Array:
         """Correlations (p, p) of the innovations."""
         return _correlations(self.covariance)
@@ -166,12 +172,8 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
     white = replace_colour(start[0], False).at(start[1])
     if not np.isfinite(white.cost):
         return free
-    best, alone = None, _alone(free, white)
-    outputs = len(free.scales)
-    if "correlated" in kinds and outputs > 1 and (certain or _are_correlated(white)):
-        shared = _followed(white.problem, white.point, steps=_STEPS)
-        if certain or _is_likelier(alone, shared.evaluation.cost, outputs * (outputs - 1) // 2):
-            best = shared
+    alone = _alone(free, white)
+    best = _in_shared_noise(white, alone, certain) if "correlated" in kinds else None
     if "forces" in kinds and (certain or _hints_at_forces(white if best is None else best.evaluation)):
         forced = _forced(free, rows, start, orders)
         if certain or (_shows_forces(free, rows, forced, best) and _has_all_modes(forced)):
@@ -181,6 +183,16 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
     if not certain and (filters := _own_noise(best.evaluation, white)):
         return replace(free, own_noise=filters)
     return _in_noise(free, best, alone, certain)
+
+
+def _in_shared_noise(white: LikelihoodEvaluation, alone: float, certain: bool) -> Minimum | None:
+    """The minimum in noise that outputs share, if that is far likelier than noise of each, or `certain`."""
+    outputs = white.p
+    if outputs == 1 or not (certain or _are_correlated(white)):
+        return None
+    shared = _followed(white.problem, white.point, steps=_STEPS)
+    likelier = certain or _is_likelier(alone, shared.evaluation.cost, outputs * (outputs - 1) // 2)
+    return shared if likelier else None
 
 
 def _forced(free: FreeFit, rows: Sequence[FreeRecord], start: Start, orders: Orders) -> Minimum:

@@ -29,7 +29,7 @@ from .coordinates import MatrixCoordinates, ShapeCoordinates, StructureCoordinat
 from .layout import ChannelLayout
 from .passive import PassivePoint, made_passive, nearest_passive
 
-STRUCTURES = {
+_STRUCTURE_OF = {
     "lossless": "lossless", "classical": "classical", "passive": "passive", "rank one": "free", "reciprocal": "free",
     "free": "free",
 }  # fmt: skip
@@ -402,8 +402,9 @@ class Approach:
         parameters = coordinates.dof - end.deficiency + (0 if end.delays is None else end.delays.count)
         variance = start.loss / max(1, start.rows - start.unknowns)
         return StructuredFit(
-            self.hypothesis, STRUCTURES[self.hypothesis], end.p, end.residues, end.feedthrough, shapes, participation,
-            end.loss, parameters, variance, cast(GivenResidues, end.data), self.refinement.converged, end, end.delays,
+            self.hypothesis, _STRUCTURE_OF[self.hypothesis], end.p, end.residues, end.feedthrough, shapes,
+            participation, end.loss, parameters, variance, cast(GivenResidues, end.data), self.refinement.converged,
+            end, end.delays,
         )  # fmt: skip
 
 
@@ -460,7 +461,7 @@ def nearest_passive_fit(
         point = made_passive(near.projection, layout, unknowns - near.parameters, near.covariance / variance)
     data, parameters = point.data, unknowns - point.active
     return StructuredFit(
-        "passive", STRUCTURES["passive"], data.p, *layout.split(data.shared, len(data.p)), None, None, data.loss,
+        "passive", _STRUCTURE_OF["passive"], data.p, *layout.split(data.shared, len(data.p)), None, None, data.loss,
         parameters, variance, data, True, point,
     )  # fmt: skip
 

@@ -18,6 +18,7 @@ from .constrained import Approach, StructuredFit, constrained, is_crowded, neare
 from .layout import ChannelLayout
 
 SIMPLEST_FIRST = ("lossless", "classical")
+STRUCTURES = (*SIMPLEST_FIRST, "passive", "free")  # the simplest first
 LEVEL = 0.05
 _ITERATIONS = 12  # three are usual
 _BEYOND = 100.0  # times the unknowns: a ratio at the nearest point of the free fit from which no way leads back
@@ -167,6 +168,11 @@ def _inflation(projection: FreeProjection, fit: StructuredFit, dof: int) -> floa
         return 1.0
     excess = getattr(fit.point, "excess", None)
     return 1.0 if excess is None else max(_LEAST, 1 + (projection.excess - excess) / dof)
+
+
+def is_refused(hypothesis: str, tests: Sequence[HypothesisTest]) -> bool:
+    """Whether the data reject a hypothesis."""
+    return any(test.hypothesis == hypothesis and test.p < LEVEL for test in tests)
 
 
 def _rounding(projection: FreeProjection) -> float:

@@ -1,0 +1,178 @@
+"""Searches in recordings as they would be without what disturbs them: hum, noise of other levels, strong forces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..._types import Array
+from ..data.channels import Channels, Recording
+from ..innovations.strong_forces import beside_strong_forces
+from ..regression.tuning import TUNING
+from ..search.circumstances import Cause, Finding
+from ..search.modal_search import FreeFit
+from ..uncertainty.residual_tests import is_white
+from .changing_noise import changing_levels, findings_of, level_of
+from .hum import Tones, lines_in, tones_in, undriven
+from .unequal_noise import in_equal_noise
+
+_ROUNDS = 3  # of fits and of the noise of experiments in turn
+_MOST_TONES = 20  # times that more tones are looked for
+_SAME_LEVEL = 0.02  # mean difference of the logarithms of levels of noise that are the same
+
+
+@dataclass(frozen=True)
+class Searched:
+    """Channels as they were searched, their fit, whether modes may move at first, and findings about the channels."""
+
+    channels: Channels
+    free: FreeFit
+    moving: bool
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def cut(self) -> Searched:
+        """The same after an interruption."""
+        return replace(self, free=replace(self.free, interrupted=True))
+
+    @property
+    def bic(self) -> float:
+        """BIC of the fit."""
+        return self.free.criteria.bic
+
+    def charge(self, unknowns: int) -> float:
+        """What the BIC charges for so many unknowns."""
+        return unknowns * float(np.log(self.free.projection.rows))
+
+
+Search = Callable[[Channels], Searched]
+
+
+def beside_disturbances(alone: Searched, search: Search, order: int | str, most: int, noise: str) -> Searched:
+    """Search beside each disturbance in turn, as long as the criterion agrees; what was last where interrupted.
+
+    Parameters
+    ----------
+    alone : Searched
+        A search in the channels as they were measured.
+    search : callable
+        Makes such a search in other channels.
+    order : int or 'auto'
+        Number of modes.
+    most : int
+        Largest number of modes.
+    noise : str
+        Noise that is assumed, an option of `pem`.
+    """
+    latest = alone
+    try:
+        latest = _beside_hum(latest, search, isinstance(order, str))
+        if noise in ("auto", "forces"):
+            latest = replace(latest, free=beside_strong_forces(latest.free, order, most))
+        latest = _beside_unequal_noise(latest, search)
+        return latest if latest.free.beside is not None else _beside_changing_noise(latest, search)
+    except KeyboardInterrupt:
+        return latest.cut
+
+
+def _settled(
+    alone: Searched, search: Search, proposed: Callable[[Searched], Channels | None],
+    is_better: Callable[[Searched, Searched], bool] = lambda again, latest: True,
+) -> Searched:  # fmt: skip
+    """Search in the channels that each fit proposes, until it proposes none, or a search is no better, or is cut."""
+    latest = alone
+    for _ in range(_ROUNDS):
+        channels = proposed(latest)
+        if channels is None:
+            break
+        again = search(channels)
+        if again.free.interrupted:
+            return latest.cut
+        if not is_better(again, latest):
+            break
+        latest = again
+    return latest
+
+
+def _beside_hum(latest: Searched, search: Search, automatic: bool) -> Searched:
+    """The fit beside tones in place of modes that neither decay nor are driven, where the criterion agrees.
+
+    So it is with lines of the residuals, unless modes may be missing as their number is not `automatic`.
+    """
+    for _ in range(_MOST_TONES):
+        free = latest.free
+        more = free.projection.p.imag[undriven(free)]
+        more = lines_in(free) if automatic and not len(more) else more
+        if not len(more):
+            break
+        hums = Tones.of(latest.findings, latest.channels)
+        tones = tones_in(free, np.append(hums.frequencies, more))
+        for _ in range(_ROUNDS):
+            again = search(tones.taken_from(latest.channels))
+            if again.free.interrupted:
+                return latest.cut
+            taken, tones = tones, tones_in(again.free, tones.frequencies)
+            if tones.is_near(taken):
+                break
+        gain = 0.5 * (latest.bic - again.bic - latest.charge(taken.unknowns))
+        if gain <= 0:
+            break
+        latest = replace(again, findings=tuple(taken.findings(gain)))
+    return latest
+
+
+def _beside_unequal_noise(alone: Searched, search: Search) -> Searched:
+    """The fit to recordings in units in which their noise is the same, where that is likelier and the noise white."""
+    charge = alone.charge(len(alone.channels) - 1)
+    latest = _settled(
+        alone, search, lambda latest: in_equal_noise(latest.channels, latest.free),
+        lambda again, latest: again.bic < min(alone.bic - charge, latest.bic),
+    )  # fmt: skip
+    if latest.free.interrupted:
+        return latest
+    # what modes that are missing leave says nothing of the noise
+    if latest is alone or not _leaves_white_noise(latest.free):
+        return alone
+    units = tuple(getattr(channel, "unit", 1.0) for channel in latest.channels)
+    gain = 0.5 * (alone.bic - latest.bic - charge)
+    return replace(latest, findings=(*alone.findings, Finding(Cause.UNEQUAL_NOISE, units, gain)))
+
+
+def _beside_changing_noise(alone: Searched, search: Search) -> Searched:
+    """The fit where each sample counts by the level of the noise in its span, where that is likelier."""
+    latest = _settled(alone, search, _in_their_levels)
+    if latest is alone or latest.free.interrupted:
+        return latest
+    findings = findings_of(latest.channels, 0.0)
+    gain = 0.5 * (alone.bic - latest.bic - alone.charge(sum(len(finding.values) - 2 for finding in findings)))
+    if gain <= TUNING.sure:
+        return alone
+    return replace(latest, findings=(*alone.findings, *findings_of(latest.channels, gain)))
+
+
+def _in_their_levels(latest: Searched) -> Channels | None:
+    """Recordings with the levels of noise that a fit shows; None where it shows none, or those that they have."""
+    levels = changing_levels(latest.free)
+    if levels is None or _same_levels(levels, latest.channels):
+        return None
+    recordings = zip([data for data in latest.channels if isinstance(data, Recording)], levels, strict=True)
+    return tuple(data.of_one_level if level is None else data.adjusted(level=level) for data, level in recordings)
+
+
+def _same_levels(levels: Sequence[Array | None], channels: Channels) -> bool:
+    """Whether levels of noise are nearly those that recordings have."""
+    known = [level_of(channel) for channel in channels]
+    return all(
+        (new is None and old is None)
+        or (new is not None and old is not None and np.mean(np.abs(np.log(new / old))) < _SAME_LEVEL)
+        for new, old in zip(levels, known, strict=True)
+    )  # fmt: skip
+
+
+def _leaves_white_noise(free: FreeFit) -> bool:
+    """Whether the noise that a fit leaves passes the Ljung-Box test of whiteness."""
+    if free.beside is None:
+        return is_white(free.projection)
+    return bool(free.beside.whiteness >= TUNING.white)

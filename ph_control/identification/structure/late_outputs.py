@@ -1,0 +1,140 @@
+"""The structure of a fit together with delays of the outputs, which a structure shows and free residues absorb."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ..._types import Mask
+from ..regression.free import Lateness
+from ..regression.tuning import TUNING
+from ..search.modal_search import FreeFit
+from .choice import Choice, Request, layout_of, under_either_hold
+from .constrained import StructuredFit, constrained
+from .delayed import with_delays
+
+_SEEN = 2.0  # standard errors by which delays that a structure needs differ from 0
+_NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it
+
+WithDelay = Callable[[Lateness], FreeFit]  # searches in rows with these delays
+
+
+def with_late_outputs(
+    best: Choice, other: Callable[[], FreeFit | None], request: Request, with_delay: WithDelay | None
+) -> Choice:
+    """The structure with delays of the outputs, where these explain more; those of whole samples are refined.
+
+    `other` makes the fit with the inputs held otherwise.
+    """
+    free = best.free
+    if not (free.delay_open and free.order and free.projection.inputs) or free.interrupted:
+        return best
+    late, stands = bool(free.delay.any()), best.stands(request)
+    if request.structure == "passive" or (stands and not late):
+        return best
+    if stands:
+        return _refined(best, best.fit.hypothesis, request)
+    chosen = _likelier_with_delays(best, other, request, with_delay)
+    if chosen is None and late and best.fit.structure == "free":
+        return _refined(best, "free", request)
+    return chosen or best
+
+
+def _likelier_with_delays(
+    best: Choice, other: Callable[[], FreeFit | None], request: Request, with_delay: WithDelay | None
+) -> Choice | None:
+    """The structure with delays, where these explain more than the best without; None where they do not."""
+    hypothesis = "classical" if request.structure == "auto" else request.structure
+    trials = [_delayed(fit, best, hypothesis, request, False) for fit in (best.free, other()) if fit is not None]
+    trial = min((candidate for candidate in trials if candidate is not None), key=Choice.cost, default=None)
+    if trial is None:
+        return None
+    # what rejects a structure that is given, and free residues explain without a delay, shows none
+    without = best if request.structure in ("auto", "free") else _freely(best, request)
+    if not _explains(trial, without):
+        return None
+    chosen = _searched_anew(trial.free, request, with_delay)
+    likelier = _explains(chosen, without) and (chosen.stands(request) or chosen.gain(without) > TUNING.sure)
+    return chosen if likelier and _is_late(chosen.fit) else None
+
+
+def _is_late(fit: StructuredFit) -> bool:
+    """Whether any delay differs from 0 by more than its errors allow."""
+    return fit.delays is None or bool(np.any(np.abs(fit.delays.values) > _SEEN * fit.delay_errors))
+
+
+def _freely(best: Choice, request: Request) -> Choice:
+    """Free residues in place of a structure."""
+    free = best.free
+    return replace(best, fit=constrained(free.projection, layout_of(free, request), "free", free.region))
+
+
+def _searched_anew(late: FreeFit, request: Request, with_delay: WithDelay | None) -> Choice:
+    """The structure in rows with delays, after a search in these: modes too many may have stood for the delay."""
+    anew = late if with_delay is None else with_delay(Lateness(late.delay[places_of(late)], late.input_delay))
+    if anew.interrupted:
+        raise KeyboardInterrupt
+    anew = replace(anew, findings=late.findings, delay_gain=late.delay_gain).with_delay_open(True)
+    return min((_in_rows_of(free, request) for free in (late, anew) if free.order), key=Choice.cost)
+
+
+def _explains(trial: Choice, best: Choice) -> bool:
+    """Whether a structure with delays is likelier than the best without, or nearly so.
+
+    Held and linear inputs are models of what goes on between samples, and of smooth inputs that come late free residues
+    absorb a little of what is wrong with them.  That must not decide where delays explain nearly all that rejects the
+    structure, of more than one mode.
+    """
+    refused = [test.likelihood_ratio for test in best.tests if test.hypothesis == trial.fit.hypothesis]
+    spare = (best.fit.parameters - trial.fit.parameters) * float(np.log(trial.fit.projection.rows))
+    several = np.sum(trial.fit.p.imag > 0) > 1
+    nearly = spare > 0 and several and spare - 2 * trial.gain(best) < _NEARLY * max([*refused, 0.0])
+    return bool(trial.gain(best) > TUNING.sure or nearly)
+
+
+def _in_rows_of(free: FreeFit, request: Request) -> Choice:
+    """The structure in rows with delays, which are refined with it."""
+    first = under_either_hold(Choice.of(free, request), request)
+    if first.stands(request) or request.structure != "auto":
+        return _refined(first, first.fit.hypothesis, request)
+    classical = _delayed(first.free, first, "classical", request, True)
+    wider = _refined(first, "free", request) if first.fit.structure == "free" else first
+    return min((candidate for candidate in (classical, wider) if candidate is not None), key=Choice.cost)
+
+
+def _delayed(free: FreeFit, best: Choice, hypothesis: str, request: Request, settled: bool) -> Choice | None:
+    """A structure with delays, in the rows of a free fit."""
+    layout = layout_of(free, request)
+    delayed = with_delays(free.projection, layout, hypothesis, free.region, _felt(free, request), settled=settled)
+    if delayed is None or delayed.fit.delays is None:
+        return None
+    projection, late = delayed.free, Choice(free, delayed.fit, best.tests)
+    gain = free.delay_gain if settled else late.gain(best)
+    now = replace(
+        free, projection=projection, unknowns=projection.unknowns, delay=delayed.fit.delays.each, delay_gain=gain,
+        held_otherwise=None, delay_open=True, findings=best.free.findings,
+    )  # fmt: skip
+    return replace(late, free=now)
+
+
+def _refined(best: Choice, hypothesis: str, request: Request) -> Choice:
+    """The same with delays that are no whole samples, and their errors; as it is where the data do not tell them."""
+    refined = _delayed(best.free, best, hypothesis, request, True)
+    if refined is None or refined.fit.delays is None:
+        return best
+    # free residues and what is fed through say the same for all delays within a sample
+    return refined if np.all(refined.fit.delay_errors < np.pi * refined.fit.delays.step) else best
+
+
+def places_of(free: FreeFit) -> slice:
+    """Where an output of the data is first among those of the projection."""
+    return slice(None, None, len(free.channels[0].input_labels) if free.per_entry else 1)
+
+
+def _felt(free: FreeFit, request: Request) -> Mask:
+    """What is fed through in any case (outputs of the projection, inputs): to an accelerometer."""
+    felt = np.array([quantity == "acceleration" for quantity in request.quantities])
+    inputs = len(free.channels[0].input_labels)
+    return felt.repeat(inputs)[:, None] if free.per_entry else felt[:, None].repeat(inputs, axis=1)
