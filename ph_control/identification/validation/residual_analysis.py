@@ -483,16 +483,19 @@ def _residual_data(
     joined = np.concatenate(series([residual / size for residual, size in zip(residuals, noise, strict=True)]))
     shared, local = _directions(answers, scales)
     level = np.concatenate([np.repeat(scale[None], 1 + spectral, axis=0).ravel() for scale in scales])
-    u = np.zeros(len(joined))
-    if not spectral:
-        u = np.concatenate([record.u for record in records if isinstance(record, Record)])
-        # least squares with these weights
-        u = u / (np.max(np.abs(u)) or 1.0) * level
     return ResidualData(
-        without_peaks(joined) if spectral else joined, u, np.concatenate(series(shared)), lags,
+        without_peaks(joined) if spectral else joined, _inputs(records, level), np.concatenate(series(shared)), lags,
         tuple(len(rows) for rows in series(shared)), tuple(series(local)), level,
         max(answer.past for answer in answers),
     ), unit  # fmt: skip
+
+
+def _inputs(records: tuple[Kind, ...], level: Array) -> Array:
+    """Inputs of records one after the other, of size 1, in the weights of least squares; 0 of responses."""
+    if isinstance(records[0], FrequencyRecord):
+        return np.zeros(len(level))
+    u = np.concatenate([record.u for record in records if isinstance(record, Record)])
+    return u / (np.max(np.abs(u)) or 1.0) * level
 
 
 def _directions(answers: list[Simulation], scales: list[Array]) -> tuple[list[NDArray[Any]], list[NDArray[Any]]]:
