@@ -12,15 +12,7 @@ from ..search.circumstances import HOLDS, Cause, Finding
 from ..search.modal_search import FreeFit, feedthrough_of
 from .constrained import StructuredFit, constrained
 from .delayed import cost_of
-from .hypothesis_tests import (
-    LEVEL,
-    SIMPLEST_FIRST,
-    STRUCTURES,
-    choose,
-    given_structure,
-    likelihood_test,
-    structure_tests,
-)
+from .hypothesis_tests import LEVEL, STRUCTURES, choose, given_structure, likelihood_test, structure_tests
 from .layout import ChannelLayout
 
 _SAME = 1.0  # difference of the BIC of models that are the same
@@ -79,7 +71,7 @@ class Choice:
     def stands(self, request: Request) -> bool:
         """Whether the structure is one that is not rejected within the free model."""
         if request.structure == "auto":
-            return self.fit.structure in SIMPLEST_FIRST
+            return self.fit.structure in STRUCTURES[:2]
         projection = self.free.projection
         unknowns = len(projection.x) + int(projection.shown.sum()) - projection.deficiency
         return likelihood_test(projection, self.fit, max(0, unknowns - self.fit.parameters)).p >= LEVEL
