@@ -17,7 +17,9 @@ FOLDERS = {
     "identification.structure": "fits with a structure",
     "identification.diagnosis": "tests of a fit, verdict",
     "identification.innovations": "noise through the plant",
-    "identification.search": "order, initial estimates",
+    "identification.moves": "drifts, delays, noise of a fit",
+    "identification.growth": "modes join, choice of order",
+    "identification.search": "rows, candidates, criteria",
     "identification.excitation": "parameters that inputs excite",
     "identification.uncertainty": "noise, covariance, draws",
     "identification.regression": "residuals and Jacobians",
@@ -44,8 +46,8 @@ WAYS = {
     "pem(data)": (
         "#2c5aa0",
         [
-            "identification.fit", "identification.data", "identification.search", "identification.regression",
-            "identification.search", "identification.structure", "identification.uncertainty",
+            "identification.fit", "identification.data", "identification.growth", "identification.regression",
+            "identification.moves", "identification.structure", "identification.uncertainty",
             "identification.excitation", "identification.diagnosis", "identification.fit",
         ],
     ),

@@ -32,6 +32,7 @@ from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outc
 from ..excitation.excitation import examine
 from ..innovations.forces import KINDS, beside_forces
 from ..innovations.strong_forces import beside_strong_forces
+from ..moves.free_fit import free_fit
 from ..regression.free import FreeProjection, GivenResidues, Lateness, refine_free
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.frequency_rows import FreeResponse
@@ -46,8 +47,9 @@ from ..regression.prediction import (
 )
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
+from ..search.channel_rows import is_short
 from ..search.circumstances import HOLDS, REJECTED, Cause, Finding, sentence_of
-from ..search.modal_search import FreeFit, feedthrough_of, free_fit, is_short
+from ..search.fitted_modes import FreeFit, feedthrough_of
 from ..search.progress import Callback, reporter
 from ..search.starting_poles import poles_of
 from ..structure.constrained import StructuredFit, constrained
