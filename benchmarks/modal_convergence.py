@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from ph_control.identification.data.experiments import as_channels
-from ph_control.identification.search.modal_search import FreeFit, free_fit
+from ph_control.identification.moves.free_fit import free_fit
+from ph_control.identification.search.fitted_modes import FreeFit
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -19,7 +19,9 @@ FOLDERS = {
     "identification.structure": "fits with a structure",
     "identification.diagnosis": "disturbances of a fit",
     "identification.innovations": "noise through the plant",
-    "identification.search": "order, initial estimates",
+    "identification.moves": "drifts, delays, noise of a fit",
+    "identification.growth": "modes join, choice of order",
+    "identification.search": "rows, candidates, criteria",
     "identification.excitation": "parameters that inputs excite",
     "identification.uncertainty": "noise, covariance, draws",
     "identification.regression": "residuals and Jacobians",
@@ -46,8 +48,8 @@ WAYS = {
     "pem(data)": (
         "#2c5aa0",
         [
-            "identification.fit", "identification.data", "identification.search", "identification.regression",
-            "identification.search", "identification.diagnosis", "identification.structure",
+            "identification.fit", "identification.data", "identification.growth", "identification.regression",
+            "identification.moves", "identification.diagnosis", "identification.structure",
             "identification.estimates", "identification.judge", "identification.fit",
         ],
     ),

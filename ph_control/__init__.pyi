@@ -65,6 +65,8 @@ from .identification.fit.gradient import gradient_descent as gradient_descent
 from .identification.fit.pem import pem as pem
 from .identification.fit.pem import prediction_error_fit as prediction_error_fit
 from .identification.fit.pem_result import PEMResult as PEMResult
+from .identification.growth.order_selection import OrderSelection as OrderSelection
+from .identification.growth.order_selection import order_selection as order_selection
 from .identification.many.fit_many import RecordingFitted as RecordingFitted
 from .identification.many.fit_many import fit_many as fit_many
 from .identification.many.fit_table import FitTable as FitTable
@@ -72,8 +74,6 @@ from .identification.many.tracking import ModeTracks as ModeTracks
 from .identification.regression.free_prediction import FittedChannels as FittedChannels
 from .identification.regression.prediction import FittedExperiment as FittedExperiment
 from .identification.regression.prediction import ResponseBackground as ResponseBackground
-from .identification.search.order_selection import OrderSelection as OrderSelection
-from .identification.search.order_selection import order_selection as order_selection
 from .identification.uncertainty.modal_draws import ModalSamples as ModalSamples
 from .identification.uncertainty.noise_model import NoiseModel as NoiseModel
 from .identification.validation.comparison import Comparison as Comparison

@@ -12,7 +12,7 @@ from ..data.channels import Channels, Recording
 from ..innovations.strong_forces import beside_strong_forces
 from ..regression.tuning import TUNING
 from ..search.circumstances import Cause, Finding
-from ..search.modal_search import FreeFit
+from ..search.fitted_modes import FreeFit
 from ..uncertainty.residual_tests import is_white
 from .changing_noise import changing_levels, findings_of, level_of
 from .hum import Tones, lines_in, tones_in, undriven

@@ -13,7 +13,7 @@ from ..data.channels import Recording
 from ..data.parts import is_long
 from ..regression.time_rows import FreeRecord
 from ..search.circumstances import Cause, Finding, foretold
-from ..search.modal_search import FreeFit
+from ..search.fitted_modes import FreeFit
 from .outliers import outliers, saturation
 from .unequal_noise import experiments_of
 

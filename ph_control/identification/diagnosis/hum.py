@@ -17,7 +17,7 @@ from ..regression.free import FreeProjection
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.circumstances import Cause, Finding
-from ..search.modal_search import FreeFit
+from ..search.fitted_modes import FreeFit
 from .unequal_noise import experiments_of
 
 _STILL = 3.0  # standard errors, or one over the record, that a decay rate of a tone may have

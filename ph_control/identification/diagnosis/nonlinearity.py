@@ -15,8 +15,9 @@ from ..data.channels import Recording
 from ..data.parts import is_long
 from ..regression.free import FreeProjection, refine_free
 from ..regression.time_rows import FreeRecord
+from ..search.channel_rows import is_short
 from ..search.circumstances import Cause, Finding
-from ..search.modal_search import FreeFit, is_short
+from ..search.fitted_modes import FreeFit
 
 _BY_CHANCE = 1e-4  # probability that a plant that does not change shows such a difference in any mode
 _KNOWN = 0.3  # relative error of the decay rate of a mode in a half, beyond which nothing is said of it

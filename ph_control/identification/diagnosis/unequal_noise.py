@@ -12,7 +12,7 @@ from ..data.channels import Recording
 from ..data.parts import is_long
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from ..search.modal_search import FreeFit
+from ..search.fitted_modes import FreeFit
 
 _ROUNDS = 20  # of the noise of outputs and of experiments in turn
 _SETTLED = 1e-3  # relative change

@@ -1,18 +1,24 @@
-"""What a fit says of each experiment: prediction, free motions, offsets, and backgrounds of responses."""
+"""Experiments of a fit: predicted outputs, first states and free motions with errors, and the shapes of modes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ..data.channels import Recording
-from ..regression.free_prediction import FittedChannels
+from ..._types import Array, ComplexArray
+from ..data.channels import Recording, single
+from ..data.frequency_record import FrequencyRecord
+from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.frequency_rows import FreeResponse
-from ..regression.prediction import ResponseBackground
+from ..regression.modal_regressors import output_weight
+from ..regression.prediction import FittedExperiment, ResponseBackground, state_of
 from ..regression.time_rows import FreeRecord
+from ..structure.layout import POWERS, residue_of_unit_weight, weights_of
 from .fitted_structure import FittedStructure, roots
+from .scaled_shapes import ModeShapes, shape_errors
 
 _Rows = Iterator[tuple[int, tuple[Any, Any, Any]]]  # place, rows, what belongs to them alone, prediction
 
@@ -81,3 +87,120 @@ def _of_response(structure: FittedStructure, channel: Any, rows: _Rows) -> Fitte
     background = ResponseBackground(coefficients, errors, structure.request.quantities) if terms.any() else None
     nothing = np.zeros((n, 0), complex), np.zeros(p), np.zeros(p)
     return FittedChannels(channel, *nothing, predicted.reshape(p, m, channel.samples), background)
+
+
+def squeezed(structure: FittedStructure, experiments: Sequence[FittedChannels]) -> tuple[FittedExperiment, ...]:
+    """Experiments of one input and one output without dimensions for these, with their initial states."""
+    fit, rank, quantity = structure.fit, structure.rank, structure.request.quantities[0]
+    r = None
+    if fit.structure == "lossless" and fit.residues.shape[2] == 1 and bool(np.all(fit.p.imag > 0)):
+        r = weights_of(fit.p[rank], fit.residues[rank, 0, 0], quantity)
+    shown = []
+    errors = _state_errors(structure, r is not None)
+    for data, error in zip(experiments, errors, strict=True):
+        record = single(data.record)
+        if isinstance(record, FrequencyRecord):
+            nothing = np.zeros(0), np.zeros(0, complex), 0.0
+            shown.append(FittedExperiment(record, *nothing, data.predicted[0, 0], background=data.background))
+            continue
+        motion = data.free_amplitudes[:, 0]
+        # among several experiments a free motion has an input of 0
+        record = replace(record, time=record.clock, driven=bool(record.u.any()))
+        shown.append(FittedExperiment(
+            record, state_of(fit.p[rank], motion, quantity, r), motion, float(data.offsets[0]), data.predicted[0],
+            float(data.drifts[0]), initial_stderr=error, offset_stderr=float(data.offset_stderr[0]),
+            noise_scale=data.noise_scale,
+        ))  # fmt: skip
+    return tuple(shown)
+
+
+def _state_errors(structure: FittedStructure, lossless: bool) -> list[Array]:
+    """Standard errors of the initial state in each experiment of one input and one output; NaN if it began at rest.
+
+    Of lossless modes, `q + i p = conj(a) / (c d sqrt(r))` with the motion `a` and the weight `c` of the state in the
+    output; else the state is the motion.
+    """
+    projection, fit, free, rank = structure.measured, structure.fit, structure.free, structure.rank
+    n, scale, state_errors, rows = len(fit.p), float(free.scales[0]), [], 0
+    size = 2 * n if lossless else int(np.sum(np.where(fit.p.imag == 0, 1, 2)))
+    for data in free.channels:
+        seen = bool(data.observed.any()) and isinstance(data, Recording)
+        moving = seen and projection.experiments[rows].moving and n > 0
+        if not moving:
+            state_errors.append(np.full(size * isinstance(data, Recording), np.nan))
+        elif lossless:
+            state_errors.append(data.unit * _modal_state_errors(structure, rows))
+        else:
+            ((spread, _),) = structure.own_spreads(rows)
+            each = 2 * scale * roots(np.diag(spread)[: 2 * n].reshape(2, n).T)[rank]
+            state_errors.append(data.unit * each[np.stack([np.ones(n, bool), fit.p[rank].imag != 0], axis=1)])
+        rows += int(data.observed.any())
+    return state_errors
+
+
+def _modal_state_errors(structure: FittedStructure, rows: int) -> Array:
+    """Standard errors of `(q, p)` of lossless modes, in some of the rows."""
+    projection, fit, quantity = structure.measured, structure.fit, structure.request.quantities[0]
+    scale, ((spread, crossed),) = float(structure.free.scales[0]), structure.own_spreads(rows)
+    n, power, d = len(fit.p), POWERS[quantity], np.abs(fit.p)
+    own, shared = projection.own[rows][:, 0], projection.shared[:, 0]
+    per_weight = residue_of_unit_weight(d, power)
+    r = (scale * (shared[:n] + 1j * shared[n : 2 * n]) / per_weight).real
+    shown = r > 0
+    gain = 1.0 / (output_weight(d, quantity)[0] * d * np.sqrt(np.where(shown, r, 1.0)))
+    motion = 2 * scale * (own[:n] - 1j * own[n : 2 * n])
+    state, l, width = gain * motion, np.arange(n), 2 * n + len(shared)
+    T = np.zeros((n, width + len(own)), complex)
+    T[l, l] = state / d * ((0.0, -1.0, -2.0)[power] + 0.5 * power)
+    T[l, 2 * n + l] = -0.5 * state / np.where(shown, r, 1.0) * scale * (1 / per_weight).real
+    T[l, 3 * n + l] = -0.5 * state / np.where(shown, r, 1.0) * scale * (1j / per_weight).real
+    T[l, width + l], T[l, width + n + l] = 2 * scale * gain, -2j * scale * gain
+    joint = np.block([[fit.covariance, crossed.T], [crossed, spread]])
+    both = np.concatenate([T.real, T.imag])
+    errors = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", both, joint, both), 0.0)).reshape(2, n)
+    return np.where(shown, errors, np.nan)[:, structure.rank].ravel()
+
+
+def fitted_shapes(
+    structure: FittedStructure, covariance: Array, experiments: Sequence[FittedChannels]
+) -> tuple[ModeShapes, ComplexArray]:
+    """Shapes with their standard errors: of residues, or of a free motion."""
+    request, poles, residues = structure.request, structure.poles, structure.residues
+    n, (_, p, m) = int(np.sum(poles.imag != 0)), residues.shape
+    count, size = len(poles), residues.size
+    poles, residues = poles[:n], residues[:n]
+    # a port that was not named holds only where the structure does
+    ports = () if request.assumed and structure.fit.structure == "free" else request.ports
+    if m:
+        shapes = ModeShapes.of(poles, residues, request.quantities, ports)
+        entries = np.arange(n * p * m).reshape(n, p * m)
+        places = [[l, count + l, *(2 * count + entries[l]), *(2 * count + size + entries[l])] for l in range(n)]
+        blocks = [np.nan_to_num(covariance[np.ix_(indices, indices)]) for indices in places]
+        return shapes, shape_errors(poles, residues, request.quantities, ports, blocks)
+    motions = np.stack([experiment.free_amplitudes[:n] for experiment in experiments], axis=2)
+    shapes = ModeShapes.of(poles, motions, request.quantities, ())
+    shapes = ModeShapes(shapes.shapes, np.zeros((n, 0), complex), shapes.scaled)
+    return shapes, shape_errors(poles, motions, request.quantities, (), _motion_covariances(structure)[:n])
+
+
+def _motion_covariances(structure: FittedStructure) -> list[Array]:
+    """Covariance of `(d, zeta, Re, Im of the free motions)` of each mode, outputs by experiments, of a free motion."""
+    projection, fit, free = structure.measured, structure.fit, structure.free
+    n, count, runs = len(fit.p), len(free.scales), len(free.channels)
+    J, inner = natural_jacobian(fit.p), fit.covariance[: 2 * n, : 2 * n]
+    measured = np.cumsum([int(data.observed.any(axis=-1).sum()) for data in free.channels])
+    size, done = count * runs, 0
+    covariances = [np.zeros((2 + 2 * size, 2 + 2 * size)) for _ in range(n)]
+    for l, total in enumerate(covariances):
+        total[:2, :2] = J[[l, n + l]] @ inner @ J[[l, n + l]].T
+    for k, rows in enumerate(projection.experiments):
+        place = int(np.searchsorted(measured, done, side="right"))
+        done += len(rows.outputs)
+        for output, (spread, with_poles) in zip(rows.outputs.tolist(), structure.own_spreads(k), strict=True):
+            scale = 2 * free.scales[output] * getattr(rows, "unit", 1.0)
+            for l, total in enumerate(covariances):
+                both = [2 + output * runs + place, 2 + size + output * runs + place]
+                total[np.ix_(both, both)] = scale**2 * spread[np.ix_([l, n + l], [l, n + l])]
+                total[np.ix_(both, [0, 1])] = scale * with_poles[[l, n + l], : 2 * n] @ J[[l, n + l]].T
+                total[np.ix_([0, 1], both)] = total[np.ix_(both, [0, 1])].T
+    return [covariances[l] for l in structure.rank.tolist()]

@@ -14,7 +14,7 @@ from ..diagnosis.changing_noise import level_of
 from ..regression.free_prediction import FittedChannels
 from ..regression.prediction import pieces
 from ..search.circumstances import Cause
-from ..search.modal_search import FreeFit
+from ..search.fitted_modes import FreeFit
 from .fitted_structure import FittedStructure
 
 

@@ -25,8 +25,9 @@ from ..regression.frequency_rows import FreeResponse, terms_in
 from ..regression.prediction import ResponseBackground, state_of
 from ..regression.sections import PoleRegion
 from ..regression.time_rows import FreeRecord
+from ..search.channel_rows import RowOptions
 from ..search.free_search import Responses
-from ..search.modal_search import FreePath
+from ..search.path import FreePath
 from ..structure.constrained import StructuredFit, constrained
 from ..structure.layout import ChannelLayout, weights_of
 from ..uncertainty.draws import draws_from, tail_of
@@ -323,10 +324,8 @@ class _Refit:
             np.any(getattr(experiment, "drifts", getattr(experiment, "drift", 0.0)))
             for experiment in result.experiments
         )
-        path = FreePath.of(
-            channels, result.quantities, result.intersample, terms, result._moving, method=result.method,
-            late=result._lateness,
-        )  # fmt: skip
+        form = RowOptions(result.quantities, result.intersample, terms, result._moving, result.method, result._lateness)
+        path = FreePath.of(channels, form)
         if isinstance(path.search, Responses):
             path.search = replace(path.search, data=_on_background(path.search.data, result))
         path.weigh(path.counts * np.ravel(result.noise_variance))

@@ -15,10 +15,12 @@ from ..diagnosis.alternatives import Searched, beside_disturbances
 from ..diagnosis.coloured_noise import beside_coloured_noise
 from ..diagnosis.verdict import WHITE
 from ..innovations.forces import KINDS, beside_forces
+from ..moves.free_fit import free_fit
 from ..regression.free import FreeProjection, Lateness, refine_free
 from ..regression.time_rows import FreeRecord
+from ..search.channel_rows import is_short
 from ..search.circumstances import Cause, Finding
-from ..search.modal_search import FreeFit, free_fit, is_short
+from ..search.fitted_modes import FreeFit
 from ..search.progress import reporter
 from ..structure.choice import Choice, Request, under_either_hold
 from ..structure.hypothesis_tests import is_refused

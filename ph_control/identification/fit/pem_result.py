@@ -30,6 +30,7 @@ from ..data.windowed import response_through
 from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..estimates.scaled_shapes import ModeShapes, Ports
 from ..estimates.stabilisation import Orders
+from ..growth.choosing import orders_about
 from ..innovations.ambient import orders_of
 from ..regression.free import Lateness
 from ..regression.free_prediction import (
@@ -40,8 +41,8 @@ from ..regression.free_prediction import (
     unknown_samples,
 )
 from ..regression.prediction import FittedExperiment, ResponseBackground, output_gain
+from ..search.channel_rows import RowOptions
 from ..search.circumstances import Cause, Finding
-from ..search.modal_search import orders_about
 from ..structure.layout import POWERS, residue_of_unit_weight, weights_of
 from ..uncertainty.draws import draw
 from ..uncertainty.modal_draws import ModalSamples
@@ -566,10 +567,9 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
         if self.is_ambient:
             rows = [(poles, shapes[:, :, None]) for poles, shapes in orders_of(records, most)]
         else:
-            rows = orders_about(
-                records, self.poles, most, quantities=self.quantities, intersample=self.intersample,
-                offset=bool(self.offsets.any()), moving=self._moving, method=self.method, late=self._lateness,
-            )  # fmt: skip
+            constants = int(self.offsets.any())
+            form = RowOptions(self.quantities, self.intersample, constants, self._moving, self.method, self._lateness)
+            rows = orders_about(records, self.poles, most, form)
         return [
             (self.poles[: self.order], self.shapes) if len(poles) == self.order
             else (

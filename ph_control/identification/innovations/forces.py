@@ -18,7 +18,7 @@ from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.circumstances import Cause, Finding, foretold
 from ..search.criteria import Criteria
-from ..search.modal_search import FreeFit
+from ..search.fitted_modes import FreeFit
 from ..uncertainty.noise_model import NoiseModel
 from ..uncertainty.residual_tests import ljung_box
 from .joint import JointProjection, Quadratic

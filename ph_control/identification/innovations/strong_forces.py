@@ -10,7 +10,7 @@ from ..data.channels import Recording
 from ..data.parts import is_long
 from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
-from ..search.modal_search import FreeFit
+from ..search.fitted_modes import FreeFit
 from ..uncertainty.residual_tests import is_white
 from .ambient import AmbientFit, ambient_fit
 from .forces import beside_known_forces

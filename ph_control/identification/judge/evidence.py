@@ -17,7 +17,7 @@ from ..excitation.excitation import examine
 from ..regression.free_prediction import FittedChannels
 from ..regression.prediction import FittedExperiment
 from ..search.circumstances import HOLDS, REJECTED, Cause, Finding
-from ..search.modal_search import FreeFit
+from ..search.fitted_modes import FreeFit
 from ..structure.choice import layout_of
 from ..structure.hypothesis_tests import LEVEL
 from ..structure.layout import POWERS

@@ -1,1 +1,1 @@
-"""From data to initial estimates and to the order."""
+"""What a search works with: rows of channels, candidates, likelihood and criteria, and the fit that it ends with."""

@@ -9,7 +9,7 @@ import numpy as np
 from ..diagnosis.verdict import HypothesisTest
 from ..regression.tuning import TUNING
 from ..search.circumstances import HOLDS, Cause, Finding
-from ..search.modal_search import FreeFit, feedthrough_of
+from ..search.fitted_modes import FreeFit, feedthrough_of
 from .constrained import StructuredFit, constrained
 from .delayed import cost_of
 from .hypothesis_tests import LEVEL, STRUCTURES, choose, given_structure, likelihood_test, structure_tests

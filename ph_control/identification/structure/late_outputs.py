@@ -10,7 +10,7 @@ import numpy as np
 from ..._types import Mask
 from ..regression.free import Lateness
 from ..regression.tuning import TUNING
-from ..search.modal_search import FreeFit
+from ..search.fitted_modes import FreeFit
 from .choice import Choice, Request, layout_of, under_either_hold
 from .constrained import StructuredFit, constrained
 from .delayed import with_delays

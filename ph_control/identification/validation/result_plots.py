@@ -10,8 +10,8 @@ import numpy as np
 from ...exceptions import StructureError
 from ...plotting.validation_plot import channel_correlations, residual_panels_plot
 from ..fit.pem_result import PEMResult
+from ..growth.order_selection import OrderSelection
 from ..regression.prediction import chosen_experiment
-from ..search.order_selection import OrderSelection
 from .comparison import Comparison
 from .residual_analysis import ResidualAnalysis
 

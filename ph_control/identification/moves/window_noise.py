@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import lapack
@@ -24,18 +23,47 @@ from ..data.windowed import WindowErrors, error_bands
 from ..regression.free import FreeProjection, by_poles
 from ..regression.frequency_rows import FreeResponse
 from ..regression.spectral_rows import real_rows
-
-if TYPE_CHECKING:
-    from .modal_search import FreeFit
+from ..search.fitted_modes import FreeFit
+from .assumptions import Search
+from .gain_noise import Refits
+from .response_noise import ROUNDS
 
 _CURVED = 0.1  # of the second differences of a response: errors of its peaks before they are known
 _RIDGE = 1e-12  # of unit columns that may be alike
 _LEAST = 1e-12  # of the largest motion: what of it is rounding
+_SAME_ERRORS = 0.02  # relative change of the variances of lines
 _ALL = 0.01  # noise beside motion, or motion beside noise, that does not count
 
 
+def in_noise_of_the_window(fit: FreeFit, search: Search) -> FreeFit:
+    """Repeat a fit to responses estimated with a window with the errors of its own model, until both agree."""
+    refits = Refits(fit, search)
+    near, known = fit, False
+    while True:
+        for _ in range(ROUNDS):
+            before = near
+            near = refits.refined(_of_model(near), near.projection.p)
+            if len(near.projection.p) == len(before.projection.p) and _agree(near, before):
+                break
+        judged = refits.again(near.channels, near.projection.p, known)
+        if judged.interrupted:
+            raise KeyboardInterrupt
+        if known or len(judged.projection.p) == len(near.projection.p):
+            return judged
+        # other modes leave other errors
+        near, known = judged, True
+
+
+def _agree(fit: FreeFit, before: FreeFit) -> bool:
+    """Return whether the errors of two fits are the same."""
+    laws = [[channel.errors.covariances[:, :, 0].real for channel in each.channels] for each in (fit, before)]
+    scales = [float(np.exp(np.mean([np.log(law).mean() for law in each]))) for each in laws]
+    pairs = zip(*laws, strict=True)
+    return all(np.max(np.abs(now / then * (scales[1] / scales[0]) - 1)) <= _SAME_ERRORS for now, then in pairs)
+
+
 def _noise_alone(window: SpectralWindow, omega: Array) -> ComplexArray:
-    """Correlations (b + 1, K) of the errors that white noise leaves."""
+    """Return correlations (b + 1, K) of the errors that white noise leaves."""
     lines = window.lines(omega)
     none = np.zeros(0, complex), np.zeros((0, 1, 1), complex), np.zeros((1, 1))
     bands = error_bands(window, lines, *none).covariance(lines, (0, 0), 1.0)
@@ -46,28 +74,36 @@ def _noise_alone(window: SpectralWindow, omega: Array) -> ComplexArray:
 
 
 def _of_variances(data: ResponseMatrix, variances: Array) -> ResponseMatrix:
-    """Responses with errors of these variances (p, m, K), correlated as those of noise."""
+    """Return responses with errors of these variances (p, m, K), correlated as those of noise."""
     assert data.window is not None
     sizes, correlation = np.sqrt(variances), _noise_alone(data.window, data.omega)
     bands = np.tile(correlation, (*sizes.shape[:2], 1, 1))
     for d in range(len(correlation)):
         kept = data.samples - d
         bands[:, :, d, :kept] *= sizes[..., d:] * sizes[..., :kept]
-    return with_errors(data, LineErrors(bands, np.zeros_like(bands), np.zeros(len(sizes))))
+    return _with_errors(data, LineErrors(bands, np.zeros_like(bands), np.zeros(len(sizes))))
 
 
-def with_errors(data: ResponseMatrix, errors: LineErrors) -> ResponseMatrix:
-    """Responses with other errors, and weights that go with them."""
+def _with_errors(data: ResponseMatrix, errors: LineErrors) -> ResponseMatrix:
+    """Return responses with other errors, and weights that go with them."""
     return replace(data, errors=errors, weights=np.where(data.observed, errors.weights, 1.0))
 
 
-def in_weights(data: ResponseMatrix) -> ResponseMatrix:
-    """Responses with errors of which the variances are the inverse of their weights."""
+def with_first_errors(responses: list[ResponseMatrix], weighted: bool) -> list[ResponseMatrix]:
+    """Return responses of which some have a window, with errors by weights or curvature unless these are known."""
+    windowed = [data for data in responses if data.window is not None]
+    if any(data.errors is not None for data in windowed):
+        return responses
+    return [_in_weights(data) if weighted else _of_curvature(data) for data in windowed]
+
+
+def _in_weights(data: ResponseMatrix) -> ResponseMatrix:
+    """Return responses with errors of which the variances are the inverse of their weights."""
     return _of_variances(data, 1.0 / data.weights)
 
 
-def of_curvature(data: ResponseMatrix) -> ResponseMatrix:
-    """Responses with errors as their second differences let them appear: of noise, and about narrow peaks."""
+def _of_curvature(data: ResponseMatrix) -> ResponseMatrix:
+    """Return responses with errors as their second differences let them appear: of noise, and about narrow peaks."""
     padded = np.pad(np.nan_to_num(data.response), ((0, 0), (0, 0), (1, 1)), mode="edge")
     curved = np.abs(np.diff(padded, 2)) ** 2
     scale = np.median(curved, axis=-1, keepdims=True)
@@ -76,8 +112,8 @@ def of_curvature(data: ResponseMatrix) -> ResponseMatrix:
     return _of_variances(data, 1.0 + _CURVED * near)
 
 
-def of_model(fit: FreeFit) -> list[ResponseMatrix]:
-    """Responses with the errors that a model of them leaves, and noise of each output as the residuals show it."""
+def _of_model(fit: FreeFit) -> list[ResponseMatrix]:
+    """Return responses with the errors that their model leaves, and noise as the residuals of each output show it."""
     projection = fit.projection
     p, m = len(fit.channels[0].output_labels), len(fit.channels[0].input_labels)
     residues = (projection.residues[:, :, 0] * fit.scales).reshape(len(projection.p), p, m)
@@ -100,7 +136,7 @@ def of_model(fit: FreeFit) -> list[ResponseMatrix]:
         unit = np.median(covariances[:, :, :1].real, axis=-1, keepdims=True)
         errors = LineErrors(covariances / unit, relations / unit, noise)
         object.__setattr__(errors, "law", law)
-        channels.append(with_errors(data, errors))
+        channels.append(_with_errors(data, errors))
     return channels
 
 

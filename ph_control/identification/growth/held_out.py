@@ -14,18 +14,19 @@ from ..data.channels import Recording, ResponseMatrix
 from ..regression.free import FreeProjection
 from ..regression.frequency_rows import FreeResponse
 from ..regression.time_rows import FreeRecord
-from .criteria import HELD_OUT
-
-Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
+from ..search.channel_rows import Experiments
+from ..search.criteria import HELD_OUT
+from ..search.path import EXACT, FreePath
+from .choosing import chosen
 
 
 def foretelling_order(
-    channels: Experiments, start: ComplexArray, most: int, path_for: Callable[[Experiments], Any]
+    channels: Experiments, start: ComplexArray, most: int, path_for: Callable[[Experiments], FreePath]
 ) -> int:
     """Return the order of the least error over what is held out, all outputs together; `path_for` starts a search."""
 
-    def searched(path: Any) -> None:
-        path.chosen(start, min(most, path.carried), True)
+    def searched(path: FreePath) -> None:
+        chosen(path, start, min(most, path.carried), True)
 
     errors = errors_ahead(channels, path_for, HELD_OUT, searched)
     values = {}
@@ -41,8 +42,8 @@ def foretelling_order(
 
 
 def errors_ahead(
-    channels: Experiments, path_for: Callable[[Experiments], Any], part: float, searched: Callable[[Any], None],
-    orders: Sequence[int] | None = None,
+    channels: Experiments, path_for: Callable[[Experiments], FreePath], part: float,
+    searched: Callable[[FreePath], None], orders: Sequence[int] | None = None,
 ) -> dict[int, tuple[Array, Array]]:  # fmt: skip
     """Return squared errors of each output over what is held out, and their number, by order.
 
@@ -79,9 +80,9 @@ def _without(channel: Any, hidden: Mask, shorter: bool) -> Any:
     return replace(channel, y=np.where(hidden, np.nan, channel.y))
 
 
-def _errors(path: Any, p: ComplexArray, channels: Experiments, ahead: Sequence[Mask]) -> tuple[Array, Array]:
+def _errors(path: FreePath, p: ComplexArray, channels: Experiments, ahead: Sequence[Mask]) -> tuple[Array, Array]:
     """Weighted squares of each output where it is held out, of modes refined over the rest, and their number."""
-    projection = path.refined(path.reweighted(path.model(p)).p, 1e-13, None)
+    projection = path.refined(path.reweighted(path.model(p)).p, EXACT, None)
     outputs, sizes = len(path.counts), path.sizes[:, None]
     losses, counts, rows = np.zeros(outputs), np.zeros(outputs), iter(_foretold(projection))
     for channel, hidden in zip(channels, ahead, strict=True):

@@ -20,8 +20,8 @@ from ..regression.elimination import orthogonal, without
 from ..regression.modal_regressors import SampledModes
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from .circumstances import autoregression, correlations
-from .free_search import NoiseOrders
+from ..search.circumstances import autoregression, correlations
+from ..search.free_search import NoiseOrders
 
 _TURNS = 8  # of all inputs
 _ROUNDS = 3  # of dead times and noise in turn

@@ -19,7 +19,7 @@ from ..._types import Array, ComplexArray
 from ..regression.free import FreeProjection
 from ..regression.frequency_rows import FreeResponse
 from ..regression.tuning import TUNING
-from .free_search import Responses
+from ..search.free_search import Responses
 
 ROUNDS = 8  # of fit and law in turn
 SETTLED = 1e-3  # relative change of the weights

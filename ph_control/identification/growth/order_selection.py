@@ -23,11 +23,13 @@ from ...plotting.validation_plot import order_selection_plot
 from ..data.channels import refuse_still
 from ..data.experiments import as_channels
 from ..data.quantities import checked_quantities, quantity_of
-from .criteria import CRITERIA
+from ..search.channel_rows import RowOptions
+from ..search.criteria import CRITERIA
+from ..search.path import FreePath, SearchOptions
+from ..search.progress import Callback, reporter
+from ..search.starting_poles import poles_of
+from .choosing import through_orders
 from .held_out import errors_ahead
-from .modal_search import FreePath
-from .progress import Callback, reporter
-from .starting_poles import poles_of
 
 _LARGEST = 10  # by default
 _STABLE, _STABLE_BINS = 0.01, 2.0
@@ -251,18 +253,18 @@ def order_selection(
     _checks.flag_or_auto("offset", offset)
     refuse_still(channels, moving)
 
-    def path_for(channels: Any, reports: Any = lambda order: None) -> FreePath:
-        return FreePath.of(
-            channels, quantities, hold, int(bool(offset)), moving, "bic", reports, method=method
-        )  # fmt: skip
+    form = RowOptions(quantities, hold, int(bool(offset)), moving, method)
+
+    def path_for(channels: Any) -> FreePath:
+        return FreePath.of(channels, form)
 
     path = path_for(channels)
     wanted = _wanted(orders, path)
     path.check(wanted[-1])
-    path.reports = reporter(wanted[-1], callback)
+    path.options = SearchOptions(reports=reporter(wanted[-1], callback))
     start = np.zeros(0, complex) if initial_guess is None else poles_of(initial_guess)
     try:
-        path.through_orders(start, wanted[-1])
+        through_orders(path, start, wanted[-1])
     except KeyboardInterrupt:
         if not path.table:
             raise
@@ -280,7 +282,7 @@ def order_selection(
 
     def searched(path: FreePath) -> None:
         path.check(wanted[-1])
-        path.through_orders(start, wanted[-1])
+        through_orders(path, start, wanted[-1])
 
     reached = [row.order for row in chosen]
     losses, held_out = None, 0

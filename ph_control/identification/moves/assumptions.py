@@ -1,0 +1,173 @@
+"""What a fit assumes and what it leaves to the data, and the searches that this makes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..._types import Array, ComplexArray
+from ..data.channels import Recording
+from ..growth.ending import end_of_search, finished
+from ..regression.free import Lateness
+from ..regression.time_rows import FreeRecord
+from ..search.channel_rows import Experiments, RowOptions, records_of
+from ..search.fitted_modes import FreeFit
+from ..search.path import FreePath, Reports, SearchOptions
+
+Anew = Callable[[Lateness, int, ComplexArray | None], FreeFit]  # search, or from poles, with delays and offsets
+
+
+def alone(fit: FreeFit, orders: tuple[int, int]) -> FreeFit:
+    """Return a fit as it is, in white noise."""
+    return fit
+
+
+@dataclass(frozen=True, eq=False)
+class Assumptions:
+    """What a fit of modes to channels assumes, and what it leaves to the data.
+
+    Attributes
+    ----------
+    quantities : sequence of str, optional
+        Of each output 'displacement', 'velocity', 'acceleration', or 'free' for another sensor; 'free' by default.  An
+        accelerometer feels the input at once; elsewhere what is fed through stays 0 unless it stands out.
+    intersample : {'auto', 'zoh', 'foh'}
+        Whether inputs are held or interpolated between samples; 'auto' takes the likelier.
+    offset : bool or 'auto'
+        Whether outputs have a constant of their own in each recording; 'auto' lets it drift where that explains more.
+    moving : bool
+        Whether the modes may be in motion where a recording begins.
+    max_order : int
+        Largest order that 'auto' looks at.
+    criterion : {'bic', 'aicc', 'aic', 'holdout'}
+        What chooses the order; 'holdout' is the error over the last third of each recording, or a third of the points
+        of a response, of models fitted to the rest.
+    reports : callable
+        Called with a number of modes, to give what is called after each of their iterations: with its number, and the
+        mean squared residual, of outputs in a common unit of noise.  On `KeyboardInterrupt` the best model so far is
+        returned, if it has a mode.
+    weighted : bool
+        Whether the weights of responses are those of their noise.  If not, and the noise grows with the gain, the fit
+        is repeated with the weights of the law of each entry, which is estimated.
+    real_poles : int or 'auto'
+        Number of real poles beside the modes; 'auto' takes that which the criterion prefers, see `with_real_poles`
+        for those beside a number of modes that is given.
+    delay : ndarray, shape (p,), optional
+        Time by which each output comes later than the response to the inputs; by default whole samples of recordings
+        where they explain more.
+    input_delay : ndarray, shape (m,), optional
+        Time by which each input acts later than recorded, in whole samples; by default, where `delay` is left to the
+        data as well, of several inputs those that explain more.
+    method : {'exact', 'midpoint', 'euler'}
+        How the modes meet the samples.
+    doubted : bool
+        Whether lines of a response that are far larger than those about them may be left out, where the BIC prefers
+        values of their own to modes that explain them.
+    beside : callable
+        Called with the first fit and the smallest and largest number of modes to look for, to give the fit in noise of
+        another kind, and once more where white noise shows drifts or delays.
+    white : bool
+        Whether the noise of each output is taken as white.
+    """
+
+    quantities: Sequence[str] | None = None
+    intersample: str = "auto"
+    offset: bool | str = True
+    moving: bool = True
+    max_order: int = 40
+    criterion: str = "bic"
+    reports: Reports = lambda order: None
+    weighted: bool = True
+    real_poles: int | str = "auto"
+    delay: Array | None = None
+    input_delay: Array | None = None
+    method: str = "exact"
+    doubted: bool = True
+    beside: Callable[..., FreeFit] = alone
+    white: bool = False
+
+    @property
+    def drifting(self) -> bool:
+        """Whether outputs may drift."""
+        return self.offset == "auto"
+
+    def inputs_may_be_late(self, channels: Experiments) -> bool:
+        """Return whether each of several inputs may have a dead time of its own."""
+        several = len(channels[0].input_labels) > 1 and isinstance(channels[0], Recording)
+        return self.delay is None and self.input_delay is None and several
+
+
+# how channels are fitted: to an order, under assumptions, from poles
+Fit = Callable[[Experiments, int | str, Assumptions, ComplexArray | None], FreeFit]
+
+
+@dataclass(frozen=True)
+class Search:
+    """Searches in any data: from some poles, up to a number of modes, all of them if not `automatic`."""
+
+    assumptions: Assumptions
+    begin: ComplexArray
+    most: int
+    automatic: bool
+
+    @property
+    def held(self) -> str | None:
+        """How inputs are held between samples; None where the data tell."""
+        return None if self.assumptions.intersample == "auto" else self.assumptions.intersample
+
+    def path(
+        self, channels: Experiments, late: Lateness | None = None, terms: int | None = None, hold: str | None = None
+    ) -> FreePath:
+        """Begin a path with the delays, offset and hold that are assumed, or with others."""
+        given = self.assumptions
+        if late is None:
+            none = np.zeros(len(channels[0].output_labels)), np.zeros(len(channels[0].input_labels))
+            late = Lateness(
+                none[0] if given.delay is None else given.delay,
+                none[1] if given.input_delay is None else given.input_delay,
+            )
+        terms = int(bool(given.offset)) if terms is None else terms
+        return FreePath.of(
+            channels,
+            RowOptions(given.quantities, hold or given.intersample, terms, given.moving, given.method, late),
+            SearchOptions(
+                given.criterion, given.reports, given.real_poles, given.drifting and terms == 1, given.white,
+                given.max_order if self.automatic else None,
+            ),
+        )  # fmt: skip
+
+    def along(self, path: FreePath, channels: Experiments, begin: ComplexArray | None = None) -> FreeFit:
+        """Return the fit at the end of a path, which may begin with other poles."""
+        begin = self.begin if begin is None else begin
+        return end_of_search(path, begin, self.most, self.automatic, channels, either_hold=self.held is None)
+
+    def anew(self, fit: FreeFit) -> Anew:
+        """Return what searches, or refines from poles, in the noise of a fit with other delays and offsets.
+
+        Where outputs may drift, a search asks anew whether they have a constant.
+        """
+
+        def search_or_refine(late: Lateness, terms: int, start: ComplexArray | None) -> FreeFit:
+            terms = max(terms, int(self.assumptions.drifting and start is None))
+            path = self.path(fit.channels, late, terms, self.held or fit.intersample)
+            path.whiten(fit.noise, path.power)
+            if start is None:
+                again = self.along(path, fit.channels)
+            else:
+                model = path.model(start)
+                model = path.in_its_noise(model) if fit.noise else model
+                again = finished(path, model, fit.channels, self.automatic)
+            if again.interrupted:
+                raise KeyboardInterrupt
+            return again.with_delay_open(fit.delay_open)
+
+        return search_or_refine
+
+
+def rows_as_in(
+    fit: FreeFit, channels: Sequence[Recording], moving: bool = True, late: Lateness | None = None
+) -> list[FreeRecord]:
+    """Return the rows of recordings with hold, offset and method of a fit, and with some delays or none."""
+    return records_of(channels, RowOptions(None, fit.intersample, fit.offset, moving, fit.method, late))

@@ -1,0 +1,181 @@
+"""Outputs that come some samples after the inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from ..._types import Array, ComplexArray
+from ..data.channels import ResponseMatrix
+from ..data.parts import cut
+from ..regression.free import FreeProjection, Lateness
+from ..regression.time_rows import FreeRecord
+from ..regression.tuning import TUNING
+from ..search.fitted_modes import FreeFit
+from ..search.free_search import Records
+from ..uncertainty.residual_tests import ljung_box
+from .assumptions import Anew, rows_as_in
+
+MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
+_DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
+_SCANS = 3  # searches with the delays that the last one says
+LONGEST_DELAY = 24  # samples
+_LAGS = 4  # of different rates, with which delays are looked for
+
+
+def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
+    """Let outputs of a fit come some samples after the inputs, or before, where the modes say so."""
+    best, gain = fit, TUNING.likely
+    for delay in _likely_delays(fit):
+        again = anew(replace(fit.lateness, outputs=delay), fit.offset, None)
+        share = fit.projection.rows / again.projection.rows
+        now = 0.5 * (fit.criteria.bic - again.criteria.bic * share)
+        if now > gain and _responds(again):
+            best, gain = replace(again, findings=fit.findings, delay_gain=now), now
+            if again.order < fit.order and not leaves_traces(again.projection):
+                break
+    # poles that were found in a wrong delay, or none, say little of the right one
+    tried = {_samples_late(best)}
+    for _ in range(_SCANS * (not best.rounding)):
+        proposed = _scanned_delays(best) - tried
+        tried, before = tried | proposed, best
+        for samples in sorted(proposed - {0}):
+            delay = np.full(len(fit.scales), samples * fit.channels[0].dt)
+            again = anew(replace(fit.lateness, outputs=delay), fit.offset, None)
+            now = 0.5 * (fit.criteria.bic - again.criteria.bic * fit.projection.rows / again.projection.rows)
+            # with noise that is modelled a delay is one more parameter; without, what else leaves traces may ask for it
+            each = 0.5 * float(np.log(fit.projection.rows)) if again.noise else TUNING.likely
+            if now > (each if best is fit else gain) and _responds(again):
+                best, gain = replace(again, findings=fit.findings, delay_gain=now), now
+        if best is before:
+            break
+    return best
+
+
+def _responds(fit: FreeFit) -> bool:
+    """Whether outputs are more than noise and free motions, which know no delay."""
+    return bool(fit.states or np.any(fit.projection.feedthrough))
+
+
+def _likely_delays(fit: FreeFit) -> list[Array]:
+    """Return whole samples, as times, by which outputs may come after the inputs, for the poles there are.
+
+    A delay turns the phase of residues; the first samples of a response determine it.  Heavily damped modes can be a
+    rational approximation of it (Pade), which leaves white residuals: they are weighed against a delay without them.
+    One delay of all outputs, or of each its own; the likeliest first.
+    """
+    if not fit.projection.inputs or not fit.order or isinstance(fit.channels[0], ResponseMatrix):
+        return []
+    some = [cut(recording, slice(0, min(recording.samples, _DELAYS_FROM))) for recording in fit.channels]
+    step, count = some[0].dt, len(fit.scales)
+    records = [
+        replace(record, y=record.y / fit.scales[record.outputs, None])
+        for record in rows_as_in(fit, some, True, _undelayed(fit))
+    ]
+
+    def late(samples: int, p: ComplexArray = fit.projection.p) -> FreeProjection:
+        return FreeProjection([record.delayed(samples * step) for record in records], p)
+
+    def of_all(samples: list[int]) -> list[Array]:
+        return [np.full(count, step * lag) for lag in samples]
+
+    mimicked = _mimicked_delays(late, fit.projection.p)
+    if mimicked:
+        return of_all(mimicked)
+    if not leaves_traces(late(0)):
+        return []
+    gains, each = {}, {}
+    for delay in (0, *TUNING.delays):
+        projection = late(delay)
+        if projection.rows > 2 * projection.unknowns or not delay:
+            gains[delay] = -0.5 * fit.projection.rows * float(np.log(projection.loss / projection.rows))
+            each[delay] = projection.losses / projection.rows
+    if fit.noise:  # what takes the place of a delay
+        best = max(gains, key=lambda delay: gains[delay])
+        return of_all([best] if best else [])
+    # modes too many may stand for most of a delay; one sample more or less is what may be fed through
+    likely = {delay for delay, gain in gains.items() if delay > 1 and gain > gains[0] - TUNING.likely}
+    likely |= {1} & gains.keys() if likely else set()
+    likely = (likely | {max(gains, key=lambda delay: gains[delay])}) - {0}
+    common_delays = of_all(sorted(likely, key=lambda delay: -gains[delay]))
+    tried = np.array(list(each))
+    own = tried[np.argmin(np.stack([each[delay] for delay in tried.tolist()]), axis=0)]
+    return [*common_delays, step * own] if np.ptp(own) else common_delays
+
+
+def _mimicked_delays(late: Callable[[int, ComplexArray], FreeProjection], p: ComplexArray) -> list[int]:
+    """Return samples of the delays that heavily damped modes stand for, the likeliest first; none if these are."""
+
+    def bic(samples: int, p: ComplexArray) -> float:
+        projection = late(samples, p)
+        rows = projection.rows
+        return float(rows * np.log(projection.loss / rows) + projection.unknowns * np.log(rows)) / rows
+
+    light = p[-p.real < MIMICS * np.abs(p)]
+    if 0 < len(light) < len(p):
+        values = {delay: bic(delay, light) for delay in TUNING.delays}
+        best = min(values, key=lambda delay: values[delay])
+        if best and values[best] < bic(0, p):
+            # a sample may be fed through
+            near = ({best - 1, best, best + 1} & set(TUNING.delays)) - {0}
+            return sorted(near, key=lambda delay: values[delay])
+    return []
+
+
+def _samples_late(fit: FreeFit) -> int:
+    """Return the whole samples by which the outputs of a fit come after its inputs."""
+    return int(np.rint(np.median(fit.delay) / fit.channels[0].dt))
+
+
+def _scanned_delays(fit: FreeFit) -> set[int]:
+    """Return samples by which outputs may come late, for the poles and the noise there are, or a lag of any rate.
+
+    Poles of a fit may stand for a part of a delay, which a lag cannot.  Nothing is looked for where what is left shows
+    nothing of the inputs.
+    """
+    channels = fit.channels
+    if isinstance(channels[0], ResponseMatrix) or not len(channels[0].input_labels) or fit.rounding or not (
+        fit.noise or (fit.order and np.any(fit.projection.p.imag == 0) and leaves_traces(fit.projection))
+    ):  # fmt: skip
+        return set()
+    some = [cut(recording, slice(0, min(recording.samples, _DELAYS_FROM))) for recording in channels]
+    shortest = min(recording.samples for recording in some)
+    most = min(LONGEST_DELAY, shortest // 10)
+    records = rows_as_in(fit, some, True, _undelayed(fit))
+
+    def scanned(p: ComplexArray) -> tuple[float, int]:
+        """Return squares that poles leave with the best delay, and this."""
+        losses = []
+        for samples in range(most + 1):
+            late = [row.delayed(samples * row.hold.h, 0.0, most * row.hold.h) for row in records]
+            rows = Records(late).whitened(fit.noise) if fit.noise else Records(late)
+            losses.append(FreeProjection(rows.scaled(1.0 / fit.scales).data, p).loss)
+        return min(losses), int(np.argmin(losses))
+
+    rates = np.geomspace(20.0 / shortest, 0.5, _LAGS) / channels[0].dt
+    proposed = {min(scanned(np.array([-rate + 0j])) for rate in rates)[1]}
+    return proposed | {scanned(fit.projection.p)[1]} if fit.order else proposed
+
+
+def _undelayed(fit: FreeFit) -> Lateness:
+    """Return the delays of a fit without those of the outputs."""
+    return replace(fit.lateness, outputs=np.zeros_like(fit.delay))
+
+
+def leaves_traces(projection: FreeProjection) -> bool:
+    """Whether what is left of outputs is no white noise, or goes with an input some samples before or after."""
+    most, p_values = max(map(abs, TUNING.delays)), []
+    for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
+        if not isinstance(rows, FreeRecord):
+            continue
+        residuals = np.where(rows.observed, rows.measured - predicted, 0.0)
+        p_values += [ljung_box([residual[rows.observed]], TUNING.lags) for residual in residuals]
+        size = 2 * rows.length
+        U, E = np.fft.rfft(rows.u[: rows.inputs], size), np.fft.rfft(residuals, size)
+        products = np.fft.irfft(E[:, None] * U.conj(), size)[..., np.r_[-most : most + 1]]
+        power = np.sum(residuals**2, axis=1)[:, None] * np.sum(rows.u[: rows.inputs] ** 2, axis=1) / rows.samples
+        p_values += chi2.sf(products**2 / np.where(power > 0, power, np.inf)[..., None], 1).ravel().tolist()
+    return bool(p_values) and min(p_values) * len(p_values) < TUNING.white

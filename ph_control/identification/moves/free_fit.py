@@ -1,0 +1,174 @@
+"""From recordings or response matrices to the damped modes, with any residues, that are most likely.
+
+One mode after the other joins where it explains most of what is left of all channels together, all are refined
+jointly, and each output counts by the variance of its own noise, which is estimated along with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..._types import ComplexArray
+from ..data.channels import Recording, ResponseMatrix
+from ..data.parts import is_long
+from ..growth.held_out import foretelling_order
+from ..regression.tuning import TUNING
+from ..search.channel_rows import Experiments
+from ..search.fitted_modes import FreeFit
+from ..search.path import FreePath
+from .assumptions import Assumptions, Search, alone
+from .delays import on_time
+from .drifts import beside_drift, with_constants
+from .gain_noise import in_noise_of_the_gain
+from .late_inputs import of_late_inputs, with_dead_times
+from .long_records import in_changing_noise, of_long
+from .second_searches import from_peaks, in_own_noise, of_few_lines, with_real_poles
+from .single_lines import without_lines_in_error
+from .window_noise import in_noise_of_the_window, with_first_errors
+
+InNoise = Callable[[FreeFit], FreeFit]
+
+
+def free_fit(
+    channels: Experiments, order: int | str = "auto", *, start: ComplexArray | None = None, **assumptions: Any
+) -> FreeFit:
+    """Fit modes of any damping and residues to all channels, from nothing or from some poles.
+
+    Parameters
+    ----------
+    channels : sequence of Recording, or of ResponseMatrix
+        Experiments of the same inputs and outputs.
+    order : int or 'auto'
+        Number of modes; 'auto' takes that which the criterion prefers.
+    start : ndarray of complex, optional
+        Poles of positive imaginary part to start from, real parts NaN where they are not known.
+    **assumptions
+        Attributes of `Assumptions` that are not the default.
+
+    Returns
+    -------
+    FreeFit
+        The minimum, its order table, and what belongs to it.
+
+    Raises
+    ------
+    IdentificationError
+        If there are fewer samples than unknowns.
+    StructureError
+        If an entry of the response matrices was measured in none of them.
+    """
+    return _fitted(channels, order, Assumptions(**assumptions), start)
+
+
+def _fitted(channels: Experiments, order: int | str, assumptions: Assumptions, start: ComplexArray | None) -> FreeFit:
+    """Fit modes the way that the data and the order ask for: by parts, twice, without some lines, or directly."""
+    if is_long(channels):
+        return of_long(channels, order, assumptions, start, _fitted)
+    if any(isinstance(channel, Recording) and len(channel.changes) for channel in channels):
+        return in_changing_noise(channels, order, assumptions, start, _fitted)
+    if assumptions.real_poles == "auto" and isinstance(order, int):
+        if start is None:
+            return with_real_poles(channels, order, assumptions, _fitted)
+        assumptions = replace(assumptions, real_poles=0)
+    responses = [data for data in channels if isinstance(data, ResponseMatrix)]
+    if not responses:
+        return _searched(channels, order, assumptions, start)
+    windowed = any(data.window is not None for data in responses)
+    if assumptions.doubted and not windowed:
+        return without_lines_in_error(responses, order, assumptions, start, _fitted)
+    responses = with_first_errors(responses, assumptions.weighted) if windowed else responses
+    return _searched(responses, order, assumptions, start)
+
+
+def _searched(channels: Experiments, order: int | str, assumptions: Assumptions, start: ComplexArray | None) -> FreeFit:
+    """Search for modes, then for the noise and the circumstances in which they are likelier."""
+    automatic = not isinstance(order, int)
+    begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
+    search = Search(assumptions, begin, order if isinstance(order, int) else assumptions.max_order, automatic)
+    path = search.path(channels)
+    path.check(1 if automatic else search.most)
+    if automatic:
+        search = replace(search, most=min(search.most, path.carried))
+    if automatic and assumptions.criterion == "holdout":
+        foretelling = foretelling_order(channels, begin, search.most, search.path)
+        search = replace(search, most=foretelling, automatic=False)
+    late = of_late_inputs(channels, search) if assumptions.inputs_may_be_late(channels) else None
+    fit = _or_likelier(late or search.along(path, channels), path, search, start)
+    in_noise = _noise_beside(fit, path, search, start)
+    forced = fit if fit.interrupted else in_noise(fit)
+    if forced.interrupted:
+        return forced
+    if forced.own_noise and search.automatic and not fit.noise:
+        fit = in_own_noise(fit, forced.own_noise, path, search)
+    in_white_noise = _beside_all_else(fit.with_delay_open(assumptions.delay is None), search)
+    return in_white_noise if forced.beside is None else _in_likelier_rows(forced, in_white_noise, in_noise, search)
+
+
+def _or_likelier(fit: FreeFit, path: FreePath, search: Search, start: ComplexArray | None) -> FreeFit:
+    """Return the fit at the end of a path, or those to responses that begin otherwise and are likelier."""
+    given = search.assumptions
+    if given.weighted and start is None and not fit.windowed:
+        fit = from_peaks(fit, path, search)
+    if search.automatic and given.real_poles in ("auto", 0) and not fit.interrupted:
+        fit = of_few_lines(fit, path, min(given.max_order, path.carried))
+    return fit
+
+
+def _noise_beside(fit: FreeFit, path: FreePath, search: Search, start: ComplexArray | None) -> InNoise:
+    """Return what makes the fit in noise of another kind, of as many modes as are open; the fit itself if all are."""
+    if search.automatic and fit.order >= search.most:
+        return partial(alone, orders=(0, 0))  # what modes that are missing leave says nothing of the noise
+    if search.automatic:
+        orders = 0, min(search.assumptions.max_order, path.carried)
+    else:
+        orders = (search.most, search.most) if start is None else (0, 0)
+    return partial(search.assumptions.beside, orders=orders)
+
+
+def _beside_all_else(fit: FreeFit, search: Search) -> FreeFit:
+    """Return the fit with what its data show beside modes: noise of responses that varies, or drifts and delays."""
+    weighted = search.assumptions.weighted
+    if fit.interrupted or fit.rounding or (fit.per_entry and weighted):
+        return fit
+    try:
+        if fit.windowed:
+            return in_noise_of_the_window(fit, search)
+        # what crowded modes leave is no noise whose law could be told
+        if fit.crowded or not (fit.states or fit.noise):
+            return fit
+        return in_noise_of_the_gain(fit, search) if fit.per_entry else _beside_drifts_and_delays(fit, search)
+    except KeyboardInterrupt:
+        return replace(fit, interrupted=True)
+
+
+def _beside_drifts_and_delays(fit: FreeFit, search: Search) -> FreeFit:
+    """Return the fit beside the drifts of outputs, where these may drift, and with the delays that are open."""
+    drifting, dead = search.assumptions.drifting, search.assumptions.inputs_may_be_late(fit.channels)
+    anew = search.anew(fit)
+    level = beside_drift(fit, anew) if drifting else fit
+    late = level
+    if fit.delay_open and not (dead and fit.input_delay.any()):
+        late = (with_dead_times(level, anew, search) if dead else None) or on_time(level, anew)
+    if not drifting:
+        return late
+    # poles that stand for a delay may hide a drift
+    if late is not level and late.offset < 2:
+        late = beside_drift(late, search.anew(late) if late.input_delay.any() else anew)
+    return with_constants(late)
+
+
+def _in_likelier_rows(forced: FreeFit, changed: FreeFit, in_noise: InNoise, search: Search) -> FreeFit:
+    """Return the fit beside forces, in rows with drifts or delays if those that white noise shows are likelier."""
+    if changed.interrupted:
+        return replace(forced, interrupted=True)
+    if changed.offset > forced.offset or np.any(changed.delay != forced.delay):
+        again = in_noise(changed)
+        share = forced.projection.rows / again.projection.rows
+        if again.criteria.bic * share < forced.criteria.bic - 2 * TUNING.sure:
+            return again
+    return with_constants(forced) if search.assumptions.drifting else forced

@@ -1,0 +1,189 @@
+"""The modes that a search ends with, and what belongs to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+
+from ..._frozen import Frozen
+from ..._types import Array, ComplexArray, Mask
+from ..data.channels import ResponseMatrix
+from ..regression.free import FreeProjection, Lateness
+from ..regression.sections import PoleRegion
+from ..regression.time_rows import FreeRecord
+from ..regression.tuning import TUNING
+from .circumstances import Finding
+from .criteria import Criteria
+
+
+@dataclass(frozen=True)
+class FreeOrder(Criteria):
+    """The best model of an order on the way."""
+
+    order: int
+    poles: ComplexArray
+
+
+@dataclass(frozen=True, eq=False)
+class FreeFit(Frozen):
+    """The most likely modes of any damping and residues.
+
+    Attributes
+    ----------
+    projection : FreeProjection
+        The linear problem at the minimum, over all data; its rows have variance 1.
+    channels : tuple of Recording, or of ResponseMatrix
+        The data.
+    scales : ndarray, shape (outputs of the projection,)
+        What one unit of each output of the projection is in the data: the standard deviation of its noise.
+    order_table : tuple of FreeOrder
+        The orders that were looked at.
+    region : PoleRegion
+        Where poles were looked for.
+    unknowns : int
+        Parameters of the model, without the variances.
+    criteria : Criteria
+        Likelihood, with the variances at their best, and what is made of it.
+    rounding : bool
+        Whether what is left of an output is rounding, and no noise.
+    interrupted : bool
+        Whether the search was ended before it had come to its end.
+    findings : tuple of Finding
+        What the data show beside the modes.
+    held_otherwise : callable or None
+        Refines these modes with the inputs held otherwise, if that is left to the data: see `rival`.
+    measured : FreeProjection or None
+        The linear problem of the data as they are, where its noise is coloured and rows were made in which it is white.
+    delay : ndarray, shape (outputs of the projection,)
+        Time by which each comes later than the response to the inputs, in its rows.
+    input_delay : ndarray, shape (m,)
+        Time by which each input acts later than the record says, in the rows.
+    delay_gain : float
+        Log-likelihood by which this explains more.
+    delay_open : bool
+        Whether the delay is left to the data.
+    noise : tuple of ndarray
+        Innovations filter of the noise of each output, with which these rows were made; none where the noise is white.
+    crowded : bool
+        Whether modes of responses overlap so much that they were found all at once, by a common denominator.
+    beside : FittedNoise or None
+        Noise that outputs share, or that comes through the plant, with which the minimum is a joint one.
+    filters : tuple of ndarray
+        Innovations filter of the noise of each output that residuals show afterwards; none where `noise` has it all.
+    own_noise : tuple of ndarray
+        Innovations filters of noise of each output that explains more than such noise does, where there is colour.
+    """
+
+    projection: FreeProjection
+    channels: tuple[Any, ...]
+    scales: Array
+    order_table: tuple[FreeOrder, ...]
+    region: PoleRegion
+    unknowns: int
+    criteria: Criteria
+    rounding: bool
+    interrupted: bool = False
+    findings: tuple[Finding, ...] = ()
+    held_otherwise: Callable[[], FreeFit] | None = None
+    measured: FreeProjection | None = None
+    delay: Array = field(default_factory=lambda: np.zeros(1))
+    input_delay: Array = field(default_factory=lambda: np.zeros(1))
+    delay_gain: float = 0.0
+    delay_open: bool = False
+    noise: tuple[Array, ...] = ()
+    crowded: bool = False
+    beside: Any = None
+    filters: tuple[Array, ...] = ()
+    own_noise: tuple[Array, ...] = ()
+
+    @property
+    def per_entry(self) -> bool:
+        """Whether outputs of the projection are entries of a response matrix, `output * m + input`."""
+        return isinstance(self.channels[0], ResponseMatrix)
+
+    @property
+    def windowed(self) -> bool:
+        """Whether responses were estimated with a window."""
+        return any(getattr(channel, "window", None) is not None for channel in self.channels)
+
+    @property
+    def intersample(self) -> str:
+        """Behaviour of the inputs between samples; 'zoh' for response matrices, which have none."""
+        rows = self.projection.experiments[0]
+        return rows.hold.intersample if isinstance(rows, FreeRecord) else "zoh"
+
+    @property
+    def method(self) -> str:
+        """Discretisation by which the modes meet the samples."""
+        rows = self.projection.experiments[0]
+        return rows.hold.method if isinstance(rows, FreeRecord) else "exact"
+
+    @property
+    def offset(self) -> int:
+        """Terms of what outputs have beside the modes: none, a constant, or a constant and a drift."""
+        return max(getattr(rows, "offset", 0) for rows in self.projection.experiments)
+
+    @property
+    def lateness(self) -> Lateness:
+        """Delays of outputs and inputs."""
+        return Lateness(self.delay, self.input_delay)
+
+    @property
+    def order(self) -> int:
+        """Number of modes: pairs of complex poles."""
+        return count_modes(self.projection.p)
+
+    @property
+    def states(self) -> int:
+        """Number of all poles."""
+        return self.order + len(self.projection.p)
+
+    @property
+    def variance(self) -> float:
+        """Variance of the rows of the projection that is not biased by the parameters."""
+        rows = self.projection.rows
+        return rows / max(1, rows - self.unknowns)
+
+    def with_delay_open(self, is_open: bool) -> FreeFit:
+        """The fit, and that under the other hold, with the delay left to the data or not."""
+        return replace(self.with_rival(lambda rival: replace(rival, delay_open=is_open)), delay_open=is_open)
+
+    @property
+    def rival(self) -> FreeFit | None:
+        """These modes refined with the inputs held otherwise, if that is left to the data; made when first needed."""
+        return None if self.held_otherwise is None or self.interrupted else self.held_otherwise()
+
+    def with_rival(self, change: Callable[[FreeFit], FreeFit]) -> FreeFit:
+        """The fit with a change of that under the other hold."""
+        made = self.held_otherwise
+        return self if made is None else replace(self, held_otherwise=cache(lambda: change(made())))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of imaginary and real parts of the poles, then of what is shared by outputs of the projection."""
+        return self.projection.covariance(self.variance)
+
+
+def feedthrough_of(fit: FreeFit) -> Array:
+    """Return what is fed through in the units of the data, shape (p, m)."""
+    feedthrough = fit.projection.feedthrough * fit.scales[:, None]
+    return feedthrough.reshape(-1, len(fit.channels[0].input_labels)) if fit.per_entry else feedthrough
+
+
+def count_modes(p: ComplexArray) -> int:
+    """Count the pairs of complex poles."""
+    return int(np.sum(p.imag > 0))
+
+
+def count_real_poles(p: ComplexArray) -> int:
+    """Count the real poles."""
+    return int(np.sum(p.imag == 0))
+
+
+def are_broad(p: ComplexArray) -> Mask:
+    """Return which poles are those of modes without a peak."""
+    return (p.imag > 0) & (np.abs(p.real) > TUNING.broadest * np.abs(p))
