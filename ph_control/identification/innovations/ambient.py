@@ -17,10 +17,11 @@ import numpy as np
 from ..._types import Array, ComplexArray
 from ..data.channels import Recording
 from ..search.criteria import Criteria
+from ..search.predictor_states import correlations
 from ..search.progress import Report
 from .minimum import Experiment, InnovationsModel, LikelihoodEvaluation, Minimum, Problem, minimise
 from .noise_sections import NoiseSections
-from .subspace import CanonicalVariates, correlations, in_sections
+from .subspace import CanonicalVariates, in_sections
 
 _ROWS = 300  # of a covariance of the past
 _HORIZONS = (1.0, 0.5, 0.25)  # of the longest past

@@ -19,12 +19,14 @@ from ..regression.tuning import TUNING
 from ..search.circumstances import Cause, Finding, foretold
 from ..search.criteria import Criteria
 from ..search.fitted_modes import FreeFit
+from ..search.predictor_states import likeliest, predictors_of, signals_of
 from ..uncertainty.noise_model import NoiseModel
 from ..uncertainty.residual_tests import ljung_box
 from .joint import JointProjection, Quadratic
 from .minimum import Experiment, InnovationsModel, LikelihoodEvaluation, Minimum, Problem, minimise
 from .missing_mode import missing_mode
 from .noise_sections import NoiseSections
+from .subspace import in_sections
 
 Start = tuple[Problem, InnovationsModel]  # the data, and a model without forces
 Orders = tuple[int, int]  # smallest and largest number of modes
@@ -44,7 +46,9 @@ _STEPS = 40
 _SINGULAR = 1e-6  # smallest eigenvalue of the correlations: outputs so nearly alike leave no covariance to weigh by
 _LONGEST_PAST = 64  # samples that noise of an output may depend on
 _ROUGH, _FEW = 1.0, 12  # tolerance and steps of a minimisation on the way
-_PROMISING = 0.5  # of what the BIC charges for a mode: what its window has to gain
+_ROWS = 300  # of a covariance of the past of outputs and inputs
+_REAL = 4  # real poles at most beside modes
+_CLOSE = 3  # models that are refined before the criterion chooses
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,23 +164,22 @@ def beside_known_forces(free: FreeFit, noise: NoiseSections) -> FreeFit:
     if not np.isfinite(best.evaluation.cost):
         return free
     white = replace_colour(problem, False).at(best.evaluation.point)
-    forced = _in_noise(free, best, _alone(replace(free, noise=()), white), True)
+    forced = _in_noise(free, best, _alone(replace(free, noise=()), rows, white), True)
     return forced.with_rival(lambda rival: beside_known_forces(rival, noise))
 
 
 def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: Orders = AS_FITTED) -> FreeFit:
     rows = _rows(free)
-    start = None if rows is None else _start(free, rows, free.projection.p)
-    if start is None or rows is None:
+    if rows is None:
         return free
-    white = replace_colour(start[0], False).at(start[1])
-    if not np.isfinite(white.cost):
-        return free
-    alone = _alone(free, white)
-    best = _in_shared_noise(white, alone, certain) if "correlated" in kinds else None
-    if "forces" in kinds and (certain or _hints_at_forces(white if best is None else best.evaluation)):
+    start = _start(free, rows, free.projection.p)
+    white = None if start is None else replace_colour(start[0], False).at(start[1])
+    start, white = (start, white) if white is not None and np.isfinite(white.cost) else (None, None)
+    alone = _alone(free, rows, white)
+    best = _in_shared_noise(white, alone, certain) if white is not None and "correlated" in kinds else None
+    if "forces" in kinds and (certain or white is None or _hints_at_forces(best.evaluation if best else white)):
         forced = _forced(free, rows, start, orders)
-        if certain or (_shows_forces(free, rows, forced, best) and _has_all_modes(forced)):
+        if forced is not None and (certain or _shows_forces(free, rows, forced, best)):
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
         return free
@@ -195,37 +198,54 @@ def _in_shared_noise(white: LikelihoodEvaluation, alone: float, certain: bool) -
     return shared if likelier else None
 
 
-def _forced(free: FreeFit, rows: Sequence[FreeRecord], start: Start, orders: Orders) -> Minimum:
+def _forced(free: FreeFit, rows: Sequence[FreeRecord], start: Start | None, orders: Orders) -> Minimum | None:
     """The minimum beside forces: with the same modes, or with those that the BIC prefers of so many.
 
-    In white noise modes more than there are stand for what forces do: so the search begins with the strongest alone,
-    and where it ends is compared with the minimum next to all modes of white noise.
+    In white noise modes more than there are stand for what forces do, and weak ones are hidden by it: so the search
+    begins with the poles of predictors as well.  None where there is nothing to begin with.
     """
-    table = sorted((row for row in free.order_table if row.order > 0), key=lambda row: row.order)
     fewest, most = orders
-    if not most or not table:
-        return _followed(*start, steps=_STEPS)
-    lags = free.projection.p[free.projection.p.imag == 0]
-    begin = _start(free, rows, np.concatenate([table[0].poles, lags])) or start
-    best = _followed(*begin, _ROUGH, _FEW)
-    while (modes := best.evaluation.point.noise.pairs) < most:
-        pole = missing_mode(best.evaluation, _PROMISING * _charge(best) if modes >= fewest else -np.inf)
-        wider = None if pole is None else _followed(*_with_mode(best, pole), _ROUGH, _FEW)
-        if wider is None or (modes >= fewest and _bic(wider) >= _bic(best)):
-            break
-        best = wider
+    starts = [] if start is None else [start]
+    starts += _of_predictors(free, rows, orders) if most else []
+    starts = sorted(starts, key=lambda begin: _bic(begin[0].at(begin[1])))[:_CLOSE]
+    ends = [_followed(*begin, _ROUGH, _FEW) for begin in starts]
+    if not ends:
+        return None
+    best = min(ends, key=lambda end: _bic(end.evaluation))
     best = _followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
-    best = min(best, _followed(*start, steps=_STEPS), key=_bic)
     return best if fewest == most else _of_fewer_modes(best)
 
 
-def _charge(best: Minimum) -> float:
-    """What the BIC charges for a mode: its poles, residues, free motions, and what noise through it is."""
-    evaluation = best.evaluation
-    problem, p = evaluation.problem, evaluation.p
-    moving = sum(part.moving for experiment in problem.experiments[:1] for part in experiment.rows[:1])
-    each = 2 + 2 * p * problem.inputs + 2 * p * len(problem.experiments) * moving + 4 * p - 2
-    return each * float(np.log(problem.samples * p))
+def _of_predictors(free: FreeFit, rows: Sequence[FreeRecord], orders: Orders) -> list[Start]:
+    """Models to begin with, of so many modes, that predict best from the past of outputs and inputs."""
+    fewest, most = orders
+    outputs, starts = len(free.scales), list[Start]()
+    signals = signals_of(rows, outputs)
+    if signals is None:
+        return []
+    samples = sum(each.shape[1] for each in signals)
+    for _, size, predictor in likeliest(predictors_of(signals, outputs, _ROWS), samples, 2 * most + _REAL):
+        noise = in_sections(*predictor.model(size), rows[0].hold.h)
+        if noise is None or not fewest <= int(np.sum(noise.sections.p.imag > 0)) <= most:
+            continue
+        start = _beside(free, rows, noise)
+        starts += [] if start is None else [start]
+        if len(starts) == _CLOSE:
+            break
+    return starts
+
+
+def _beside(free: FreeFit, rows: Sequence[FreeRecord], noise: NoiseSections) -> Start | None:
+    """The data and a model with a noise, in units of the rows, and what is driven as in white noise."""
+    fed = free.projection.fed
+    if not _is_feasible(rows, noise.sections, len(free.scales)):
+        return None
+    projection = FreeProjection(rows, noise.sections.p, fed, noise.sections)
+    experiments = experiments_of(projection, free.channels)
+    if experiments is None or projection.deficiency:
+        return None
+    problem = Problem(experiments, projection.shown, fed=fed)
+    return problem, InnovationsModel(noise, projection.shared, tuple(projection.own))
 
 
 def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, shared: Minimum | None) -> bool:
@@ -237,7 +257,7 @@ def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, sh
     p, more = len(free.scales), point.noise.unknowns
     if shared is None:
         evaluation = replace_colour(start[0], False).at(start[1])
-        white, more = _alone(replace(free, noise=()), evaluation), more + p * (p - 1) // 2
+        white, more = _alone(replace(free, noise=()), rows, evaluation), more + p * (p - 1) // 2
     else:
         white = _followed(replace_colour(start[0], False), start[1], steps=_STEPS).evaluation.cost
     charge = more * float(np.log(forced.evaluation.problem.samples * p))
@@ -245,7 +265,7 @@ def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, sh
     return gain > charge + 2 * _SURE and _is_likelier(white, forced.evaluation.cost, more)
 
 
-def _own_noise(best: LikelihoodEvaluation, white: LikelihoodEvaluation) -> tuple[Array, ...]:
+def _own_noise(best: LikelihoodEvaluation, white: LikelihoodEvaluation | None) -> tuple[Array, ...]:
     """Innovations filters of autoregressive noise of each output; none where this is less likely by the BIC.
 
     It is the noise that a plant fitted in white noise leaves, or one fitted beside forces.
@@ -253,7 +273,9 @@ def _own_noise(best: LikelihoodEvaluation, white: LikelihoodEvaluation) -> tuple
     problem, noise, p = best.problem, best.point.noise, best.p
     charge = float(np.log(problem.samples * p))
     unknowns = p * (p - 1) // 2 + (noise.unknowns if problem.coloured else 0)
-    cost, filters = min((_autoregressions(each, charge) for each in (white, best)), key=lambda pair: pair[0])
+    cost, filters = min(
+        (_autoregressions(each, charge) for each in (white, best) if each is not None), key=lambda pair: pair[0]
+    )
     return filters if cost <= best.cost + unknowns * charge else ()
 
 
@@ -277,27 +299,18 @@ def _autoregressions(evaluation: LikelihoodEvaluation, charge: float) -> tuple[f
     return cost, tuple(filters)
 
 
-def _has_all_modes(forced: Minimum) -> bool:
-    """Whether prediction errors ask for no mode that the search has failed to place.
-
-    What modes that are missing leave says nothing of the noise.
-    """
-    return missing_mode(forced.evaluation, _charge(forced)) is None
-
-
 def _of_fewer_modes(best: Minimum) -> Minimum:
     """The minimum without modes that stood for the noise, as long as the BIC falls."""
     while len(best.evaluation.point.noise.sections.x) > 2:
         fewer = [_without(best, k) for k in _doubtful(best)]
-        costs = [_bic(minimum) for minimum in fewer]
-        if not costs or min(costs) >= _bic(best):
+        costs = [_bic(minimum.evaluation) for minimum in fewer]
+        if not costs or min(costs) >= _bic(best.evaluation):
             break
         best = fewer[int(np.argmin(costs))]
     return best
 
 
-def _bic(minimum: Minimum) -> float:
-    evaluation = minimum.evaluation
+def _bic(evaluation: LikelihoodEvaluation) -> float:
     rows = evaluation.problem.samples * evaluation.p
     return evaluation.cost + evaluation.unknowns * float(np.log(rows))
 
@@ -336,37 +349,6 @@ def _without(best: Minimum, section: int) -> Minimum:
         references=np.delete(noise.references, section),
     )  # fmt: skip
     return _followed(*_begun(best, _driven(best, fewer.sections), fewer), steps=_STEPS)
-
-
-def _with_mode(best: Minimum, pole: complex) -> Start:
-    """The data and a model with one mode more, which noise does not come through as yet.
-
-    All residues are those that fit in white noise, or, if these are likelier, the known ones and none of the mode.
-    """
-    known = best.evaluation.point
-    noise, sections = known.noise, known.noise.sections
-    k, n, place = noise.pairs, len(known.poles), len(known.poles) - len(sections.rates)
-    wider = Sections.from_coordinates(
-        np.concatenate([sections.decay, [-pole.real], sections.square, [pole.imag**2], sections.rates])
-    )
-    driven = _driven(best, wider)
-    start = initial_noise(driven, noise.step)
-    states = np.delete(np.arange(start.states), [2 * k, 2 * k + 1])
-    C, K = start.C.copy(), start.K.copy()
-    C[:, states], K[states] = noise.C, noise.K
-    references = np.append(noise.references, pole.imag)
-    problem, point = _begun(best, driven, replace(start, C=C, K=K, references=references))
-    width = len(known.shared) // problem.inputs
-    places = [width * i + part + place for i in range(problem.inputs) for part in (0, n)]
-    moving = [part.moving for experiment in problem.experiments for part in experiment.rows]
-    nested = replace(
-        point, shared=np.insert(known.shared, places, 0.0, axis=0),
-        own=tuple(
-            np.insert(own, [place, n + place], 0.0, axis=0) if moves else own
-            for own, moves in zip(known.own, moving, strict=True)
-        ),
-    )  # fmt: skip
-    return problem, min((point, nested), key=lambda model: problem.at(model).cost)
 
 
 def _driven(best: Minimum, sections: Sections) -> FreeProjection:
@@ -482,12 +464,12 @@ def initial_noise(projection: FreeProjection, step: float) -> NoiseSections:
     return NoiseSections(sections, step, np.sqrt(np.abs(sections.square)), C, np.zeros(C.shape[::-1]))
 
 
-def _alone(free: FreeFit, white: LikelihoodEvaluation) -> float:
+def _alone(free: FreeFit, rows: Sequence[FreeRecord], white: LikelihoodEvaluation | None) -> float:
     """Twice the negative log-likelihood of noise of each output alone, in the units of the rows."""
-    samples = white.problem.samples
-    if free.noise:
+    if free.noise or white is None:
+        samples = _samples(rows) // len(free.scales)
         return -2 * (free.criteria.loglik + samples * float(np.sum(np.log(free.scales))))
-    return float(samples * np.sum(np.log(np.diag(white.covariance)) + 1 + np.log(2 * np.pi)))
+    return float(white.problem.samples * np.sum(np.log(np.diag(white.covariance)) + 1 + np.log(2 * np.pi)))
 
 
 def _are_correlated(white: LikelihoodEvaluation) -> bool:

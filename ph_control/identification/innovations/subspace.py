@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import solve_discrete_are
 
 from ..._types import Array, ComplexArray
@@ -19,13 +18,6 @@ from .noise_sections import NoiseSections
 
 _RANK = 1e-10  # of the largest eigenvalue of a covariance
 _TURNS = 16  # bases of a section that are tried for a good condition
-
-
-def correlations(y: Array, lags: int) -> Array:
-    """Correlations, sums of `y_{t+k} y_t^T` (lags + 1, p, p) of outputs (p, T)."""
-    size = next_fast_len(y.shape[1] + lags, real=True)
-    Y = rfft(y, size)
-    return np.stack([irfft(Y[i] * Y.conj(), size)[:, : lags + 1].T for i in range(len(y))], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -167,15 +167,30 @@ def _undelayed(fit: FreeFit) -> Lateness:
 
 def leaves_traces(projection: FreeProjection) -> bool:
     """Whether what is left of outputs is no white noise, or goes with an input some samples before or after."""
+    pairs = zip(projection.experiments, projection.predictions(), strict=True)
+    return _are_traces([
+        (rows.u[: rows.inputs], np.where(rows.observed, rows.measured - predicted, np.nan))
+        for rows, predicted in pairs if isinstance(rows, FreeRecord)
+    ])  # fmt: skip
+
+
+def errors_leave_traces(fit: FreeFit) -> bool:
+    """Whether prediction errors beside forces or shared noise are no white noise, or go with an input."""
+    records = [rows for rows in fit.projection.experiments if isinstance(rows, FreeRecord)]
+    inputs = (rows.u[: rows.inputs] for rows in records)
+    return _are_traces(list(zip(inputs, fit.beside.errors, strict=True)))
+
+
+def _are_traces(parts: Sequence[tuple[Array, Array]]) -> bool:
+    """Whether residuals (p, T), NaN where missing, are no white noise or go with inputs (m, T), of some records."""
     most, p_values = max(map(abs, TUNING.delays)), []
-    for rows, predicted in zip(projection.experiments, projection.predictions(), strict=True):
-        if not isinstance(rows, FreeRecord):
-            continue
-        residuals = np.where(rows.observed, rows.measured - predicted, 0.0)
-        p_values += [ljung_box([residual[rows.observed]], TUNING.lags) for residual in residuals]
-        size = 2 * rows.length
-        U, E = np.fft.rfft(rows.u[: rows.inputs], size), np.fft.rfft(residuals, size)
+    for u, remaining in parts:
+        seen = ~np.isnan(remaining)
+        residuals = np.where(seen, remaining, 0.0)
+        p_values += [ljung_box([residual[known]], TUNING.lags) for residual, known in zip(residuals, seen, strict=True)]
+        size = 2 * u.shape[1]
+        U, E = np.fft.rfft(u, size), np.fft.rfft(residuals, size)
         products = np.fft.irfft(E[:, None] * U.conj(), size)[..., np.r_[-most : most + 1]]
-        power = np.sum(residuals**2, axis=1)[:, None] * np.sum(rows.u[: rows.inputs] ** 2, axis=1) / rows.samples
+        power = np.sum(residuals**2, axis=1)[:, None] * np.sum(u**2, axis=1) / np.sum(seen, axis=1)[:, None]
         p_values += chi2.sf(products**2 / np.where(power > 0, power, np.inf)[..., None], 1).ravel().tolist()
     return bool(p_values) and min(p_values) * len(p_values) < TUNING.white

@@ -25,8 +25,7 @@ from ..regression.frequency_rows import FreeResponse
 from ..regression.spectral_rows import real_rows
 from ..search.fitted_modes import FreeFit
 from .assumptions import Search
-from .gain_noise import Refits
-from .response_noise import ROUNDS
+from .gain_noise import ROUNDS, Refits
 
 _CURVED = 0.1  # of the second differences of a response: errors of its peaks before they are known
 _RIDGE = 1e-12  # of unit columns that may be alike

@@ -1,0 +1,152 @@
+"""States of a predictor of outputs beside inputs, and what they tell of the number of poles, without a search."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from ..._types import Array
+from ..regression.time_rows import FreeRecord
+
+_RANK = 1e-10  # of a variance: what cannot be told from rounding
+_SAMPLES_EACH = 10  # of the records for each sample of the past of each signal
+
+
+def correlations(y: Array, lags: int) -> Array:
+    """Correlations, sums of `y_{t+k} y_t^T` (lags + 1, p, p) of outputs (p, T)."""
+    size = next_fast_len(y.shape[1] + lags, real=True)
+    Y = rfft(y, size)
+    return np.stack([irfft(Y[i] * Y.conj(), size)[:, : lags + 1].T for i in range(len(y))], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class PredictorStates:
+    """States of a predictor of outputs from what outputs and inputs were in the r samples before.
+
+        y_t = D u_t + sum_k (C (A - K C)^{k-1} (K, B - K D)) (y, u)_{t-k} + e_t
+
+    The coefficients are those of a regression, whose errors are the innovations: so it may be in a closed loop.  As
+    products of what is seen of states later and what made them, in the order of their sizes, they tell the states.
+
+    Attributes
+    ----------
+    R : ndarray, shape (r + 1, p + m, p + m)
+        Correlations `y, u` at lags of 0 to r samples, means of products.
+    outputs : int
+        Number p of outputs.
+    """
+
+    R: Array
+    outputs: int
+
+    @property
+    def horizon(self) -> int:
+        """Number r of samples of the past."""
+        return len(self.R) - 1
+
+    @property
+    def largest(self) -> int:
+        """Most states that there can be."""
+        return self.horizon * self.outputs
+
+    @cached_property
+    def _covariance(self) -> Array:
+        """Covariance of `((y, u)_t, (y, u)_{t-1}, .., (y, u)_{t-r})`."""
+        lags = [R.T for R in self.R[:0:-1]] + list(self.R)
+        count = self.horizon + 1
+        S = np.block([[lags[self.horizon + j - i] for j in range(count)] for i in range(count)])
+        return np.asarray(S + np.diag(_RANK * np.maximum(np.diag(S), np.finfo(float).tiny)))
+
+    @cached_property
+    def _states(self) -> Array:
+        """Combinations (r p, (r + 1) (p + m)) of signals, none of the present ones, of variance 1: strongest first."""
+        S, p, q, r = self._covariance, self.outputs, self.R.shape[1], self.horizon
+        known = np.arange(p, len(S))
+        coefficients = cho_solve(cho_factor(S[np.ix_(known, known)]), S[known, :p]).T
+        innovations = S[:p, :p] - coefficients @ S[known, :p]
+        scaled = solve_triangular(np.linalg.cholesky(innovations), coefficients[:, q - p :], lower=True)
+        # what is predicted k samples ahead without what comes in between
+        ahead = np.zeros((r * p, r * q))
+        for k in range(r):
+            ahead[k * p : (k + 1) * p, : (r - k) * q] = scaled[:, k * q :]
+        root = np.linalg.cholesky(S[q:, q:])
+        directions = np.linalg.svd(ahead @ root, full_matrices=False)[2]
+        return np.concatenate([np.zeros((r * p, q)), solve_triangular(root.T, directions.T).T], axis=1)
+
+    @cached_property
+    def _root(self) -> Array:
+        """Triangular root of the covariance of inputs, states and outputs, in this order."""
+        p, q = self.outputs, self.R.shape[1]
+        signals = np.eye(q, len(self._covariance))
+        combinations = np.concatenate([signals[p:], self._states, signals[:p]])
+        S = combinations @ self._covariance @ combinations.T
+        return np.linalg.cholesky(S + np.diag(_RANK * np.diag(S)))
+
+    def errors(self) -> Array:
+        """Logarithms (r p + 1,) of determinants of the covariances of prediction errors with 0, 1, .. states."""
+        p, inputs = self.outputs, self.R.shape[1] - self.outputs
+        rows = self._root[-p:]
+        error, logarithms = rows[:, -p:] @ rows[:, -p:].T, []
+        for column in rows[:, inputs:-p].T[::-1]:
+            logarithms.append(np.linalg.slogdet(error)[1])
+            error = error + np.outer(column, column)
+        return np.array([*logarithms, np.linalg.slogdet(error)[1]][::-1])
+
+    def _regressed(self, combinations: Array, of: Array) -> Array:
+        """Coefficients of some combinations of signals in `combinations` of others."""
+        S = self._covariance
+        return np.asarray(np.linalg.solve(of @ S @ of.T, of @ S @ combinations.T).T)
+
+    def model(self, states: int) -> tuple[Array, Array, Array]:
+        """Matrices A, C and gain K of a model with so many states."""
+        p, q = self.outputs, self.R.shape[1]
+        signals = np.eye(q, len(self._covariance))
+        known = np.concatenate([self._states[:states], signals[p:]])
+        coefficients = self._regressed(signals[:p], known)
+        errors = signals[:p] - coefficients @ known
+        forward = self._regressed(np.roll(self._states[:states], -q, axis=1), np.concatenate([known, errors]))
+        return forward[:, :states], coefficients[:, :states], forward[:, len(known) :]
+
+
+def predictors_of(signals: Sequence[Array], outputs: int, rows: int) -> list[PredictorStates]:
+    """Predictors from a long and a shorter past, with covariances of so many rows, of records of outputs and inputs.
+
+    Records `signals` (p + m, T) have means of 0; none if they are too short.
+    """
+    channels, samples = len(signals[0]), sum(each.shape[1] for each in signals)
+    shortest = min(each.shape[1] for each in signals)
+    longest = min(rows // channels, shortest // 4, samples // (_SAMPLES_EACH * channels))
+    if longest < 2:
+        return []
+    R = np.asarray(sum(correlations(each, longest) for each in signals)) / samples
+    return [PredictorStates(R[: horizon + 1], outputs) for horizon in (longest, max(2, longest // 3))]
+
+
+def likeliest(
+    predictors: Sequence[PredictorStates], samples: int, most: int
+) -> list[tuple[float, int, PredictorStates]]:
+    """Numbers of states, up to the `most`, with their predictors: those of the smallest BIC first, with its value."""
+    ranked = list[tuple[float, int, PredictorStates]]()
+    for each in predictors:
+        charge = (len(each.R[0]) + each.outputs) * float(np.log(samples * each.outputs))
+        errors = each.errors()[: most + 1]
+        ranked += [(float(samples * error + size * charge), size, each) for size, error in enumerate(errors)]
+    return sorted(ranked, key=lambda row: row[0])
+
+
+def signals_of(records: Sequence[FreeRecord], outputs: int) -> list[Array] | None:
+    """Outputs and inputs (p + m, T) of records less their means; None where samples or outputs are missing."""
+    inputs = max((int(rows.acting.max(initial=-1)) + 1 for rows in records), default=0)
+    signals = []
+    for rows in records:
+        if not rows.complete or len(rows.outputs) != outputs or rows.level is not None or not inputs:
+            return None
+        both = np.zeros((outputs + inputs, rows.length))
+        both[rows.outputs], both[outputs + rows.acting] = rows.measured, rows.u[: rows.inputs]
+        signals.append(both - both.mean(axis=1, keepdims=True))
+    return signals
