@@ -89,7 +89,10 @@ def _of_modes_and_inputs(
         result = _structured(free, request, findings)
     if free.beside is not None and options.noise == "auto" and is_refused(request.structure, result.tests):
         # what such a model leaves is no noise, and its distance from the likeliest is no small one
-        return _of_modes_and_inputs(channels, request, replace(options, noise="white"), start, findings, order)
+        try:
+            return _of_modes_and_inputs(channels, request, replace(options, noise="white"), start, findings, order)
+        except KeyboardInterrupt:
+            return cut_short(result)
     return result
 
 

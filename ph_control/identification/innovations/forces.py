@@ -43,7 +43,7 @@ _NUMBERS = 1 << 28  # and those of a Jacobian: a few seconds a step
 _SPARE = 4  # samples of all outputs for each unknown
 _LEAST_DECAY = 0.05  # bins: noise through a pole that decays more slowly never settles
 _STEPS = 40
-_SINGULAR = 1e-6  # smallest eigenvalue of the correlations: outputs so nearly alike leave no covariance to weigh by
+_SINGULAR = 1e-3  # smallest eigenvalue of the correlations: outputs so nearly alike leave no covariance to weigh by
 _LONGEST_PAST = 64  # samples that noise of an output may depend on
 _ROUGH, _FEW = 1.0, 12  # tolerance and steps of a minimisation on the way
 _ROWS = 300  # of a covariance of the past of outputs and inputs
@@ -175,10 +175,13 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
     start = _start(free, rows, free.projection.p)
     white = None if start is None else replace_colour(start[0], False).at(start[1])
     start, white = (start, white) if white is not None and np.isfinite(white.cost) else (None, None)
+    if white is not None and np.linalg.eigvalsh(_correlations(white.covariance)).min() < _SINGULAR:
+        return free
     alone = _alone(free, rows, white)
-    best = _in_shared_noise(white, alone, certain) if white is not None and "correlated" in kinds else None
+    foretold = _Predictors(free, rows, orders)
+    best = _in_shared_noise(white, alone, certain, foretold) if white is not None and "correlated" in kinds else None
     if "forces" in kinds and (certain or white is None or _hints_at_forces(best.evaluation if best else white)):
-        forced = _forced(free, rows, start, orders)
+        forced = _forced(start, orders, foretold)
         if forced is not None and (certain or _shows_forces(free, rows, forced, best)):
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
@@ -188,51 +191,73 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
     return _in_noise(free, best, alone, certain)
 
 
-def _in_shared_noise(white: LikelihoodEvaluation, alone: float, certain: bool) -> Minimum | None:
-    """The minimum in noise that outputs share, if that is far likelier than noise of each, or `certain`."""
+def _in_shared_noise(
+    white: LikelihoodEvaluation, alone: float, certain: bool, foretold: _Predictors
+) -> Minimum | None:  # fmt: skip
+    """The minimum in noise that outputs share, if that is far likelier than noise of each, or `certain`.
+
+    Noise of each output may hide modes.
+    """
     outputs = white.p
     if outputs == 1 or not (certain or _are_correlated(white)):
         return None
     shared = _followed(white.problem, white.point, steps=_STEPS)
-    likelier = certain or _is_likelier(alone, shared.evaluation.cost, outputs * (outputs - 1) // 2)
-    return shared if likelier else None
+    if not certain and not _is_likelier(alone, shared.evaluation.cost, outputs * (outputs - 1) // 2):
+        return None
+    others = [_followed(*_without_gain(begin), _ROUGH, _FEW) for begin in foretold.starts]
+    best = min([shared, *others], key=lambda end: _bic(end.evaluation))
+    return best if best is shared else _followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
 
 
-def _forced(free: FreeFit, rows: Sequence[FreeRecord], start: Start | None, orders: Orders) -> Minimum | None:
+def _without_gain(begin: Start) -> Start:
+    """A start without forces."""
+    problem, point = begin
+    noise = point.noise
+    return replace_colour(problem, False), replace(point, noise=noise.moved(noise.sections, noise.C, 0 * noise.K))
+
+
+def _forced(start: Start | None, orders: Orders, foretold: _Predictors) -> Minimum | None:
     """The minimum beside forces: with the same modes, or with those that the BIC prefers of so many.
 
     In white noise modes more than there are stand for what forces do, and weak ones are hidden by it: so the search
     begins with the poles of predictors as well.  None where there is nothing to begin with.
     """
-    fewest, most = orders
-    starts = [] if start is None else [start]
-    starts += _of_predictors(free, rows, orders) if most else []
+    starts = [*([] if start is None else [start]), *foretold.starts]
     starts = sorted(starts, key=lambda begin: _bic(begin[0].at(begin[1])))[:_CLOSE]
     ends = [_followed(*begin, _ROUGH, _FEW) for begin in starts]
     if not ends:
         return None
     best = min(ends, key=lambda end: _bic(end.evaluation))
     best = _followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
-    return best if fewest == most else _of_fewer_modes(best)
+    return best if orders[0] == orders[1] else _of_fewer_modes(best)
 
 
-def _of_predictors(free: FreeFit, rows: Sequence[FreeRecord], orders: Orders) -> list[Start]:
-    """Models to begin with, of so many modes, that predict best from the past of outputs and inputs."""
-    fewest, most = orders
-    outputs, starts = len(free.scales), list[Start]()
-    signals = signals_of(rows, outputs)
-    if signals is None:
-        return []
-    samples = sum(each.shape[1] for each in signals)
-    for _, size, predictor in likeliest(predictors_of(signals, outputs, _ROWS), samples, 2 * most + _REAL):
-        noise = in_sections(*predictor.model(size), rows[0].hold.h)
-        if noise is None or not fewest <= int(np.sum(noise.sections.p.imag > 0)) <= most:
-            continue
-        start = _beside(free, rows, noise)
-        starts += [] if start is None else [start]
-        if len(starts) == _CLOSE:
-            break
-    return starts
+@dataclass(frozen=True, eq=False)
+class _Predictors:
+    """Models to begin with, of a smallest to a largest number of modes, that predict best from the past of records."""
+
+    free: FreeFit
+    rows: Sequence[FreeRecord]
+    orders: Orders
+
+    @cached_property
+    def starts(self) -> list[Start]:
+        """Those of smallest BIC first; none where the modes are known."""
+        outputs, rows, starts = len(self.free.scales), self.rows, list[Start]()
+        signals = signals_of(rows, outputs) if self.orders[1] else None
+        if signals is None:
+            return []
+        samples = sum(each.shape[1] for each in signals)
+        states = 2 * self.orders[1] + _REAL
+        for _, size, predictor in likeliest(predictors_of(signals, outputs, _ROWS), samples, states):
+            noise = in_sections(*predictor.model(size), rows[0].hold.h)
+            if noise is None or not self.orders[0] <= int(np.sum(noise.sections.p.imag > 0)) <= self.orders[1]:
+                continue
+            start = _beside(self.free, rows, noise)
+            starts += [] if start is None else [start]
+            if len(starts) == _CLOSE:
+                break
+        return starts
 
 
 def _beside(free: FreeFit, rows: Sequence[FreeRecord], noise: NoiseSections) -> Start | None:

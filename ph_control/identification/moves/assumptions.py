@@ -13,7 +13,7 @@ from ..growth.ending import end_of_search, finished
 from ..regression.free import Lateness
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import Experiments, RowOptions, records_of
-from ..search.fitted_modes import FreeFit
+from ..search.fitted_modes import FreeFit, count_modes
 from ..search.path import FreePath, Reports, SearchOptions
 
 Anew = Callable[[Lateness, int, ComplexArray | None], FreeFit]  # search, or from poles, with delays and offsets
@@ -142,6 +142,16 @@ class Search:
         """Return the fit at the end of a path, which may begin with other poles."""
         begin = self.begin if begin is None else begin
         return end_of_search(path, begin, self.most, self.automatic, channels, either_hold=self.held is None)
+
+    def from_poles(self, path: FreePath, channels: Experiments, p: ComplexArray) -> FreeFit:
+        """Return the fit with as many poles as some to begin with."""
+        try:
+            path.best = path.reweighted(path.model(p))
+        except KeyboardInterrupt:
+            if path.best is None:
+                raise
+            return finished(path, path.best, channels, interrupted=True)
+        return end_of_search(path, p, count_modes(p), False, channels, either_hold=self.held is None)
 
     def anew(self, fit: FreeFit) -> Anew:
         """Return what searches, or refines from poles, in the noise of a fit with other delays and offsets.

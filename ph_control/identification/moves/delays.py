@@ -174,6 +174,17 @@ def leaves_traces(projection: FreeProjection) -> bool:
     ])  # fmt: skip
 
 
+def may_be_late(fit: FreeFit) -> bool:
+    """Whether outputs may come late: beside noise that is far from white not where nothing is left of the inputs.
+
+    Lags and heavily damped modes stand for delays without a trace.
+    """
+    p = fit.projection.p
+    if fit.beside is not None:
+        return errors_leave_traces(fit)
+    return not fit.noise or bool(np.any(-p.real > MIMICS * np.abs(p))) or leaves_traces(fit.projection)
+
+
 def errors_leave_traces(fit: FreeFit) -> bool:
     """Whether prediction errors beside forces or shared noise are no white noise, or go with an input."""
     records = [rows for rows in fit.projection.experiments if isinstance(rows, FreeRecord)]

@@ -22,12 +22,12 @@ from ..search.channel_rows import Experiments
 from ..search.fitted_modes import FreeFit
 from ..search.path import FreePath
 from .assumptions import Assumptions, Search, alone
-from .delays import errors_leave_traces, on_time
+from .delays import may_be_late, on_time
 from .drifts import beside_drift, with_constants
 from .gain_noise import in_noise_of_the_gain
 from .late_inputs import of_late_inputs, with_dead_times
 from .long_records import in_changing_noise, of_long
-from .prevailing_forces import in_prevailing_forces
+from .prevailing_noise import in_prevailing_noise
 from .second_searches import from_peaks, in_own_noise, of_few_lines, with_real_poles
 from .single_lines import without_lines_in_error
 from .window_noise import in_noise_of_the_window, with_first_errors
@@ -98,19 +98,20 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
     if automatic and assumptions.criterion == "holdout":
         foretelling = foretelling_order(channels, begin, search.most, search.path)
         search = replace(search, most=foretelling, automatic=False)
-    prevailing = in_prevailing_forces(channels, search) if start is None else None
-    if prevailing is not None:
-        return prevailing
     late = of_late_inputs(channels, search) if assumptions.inputs_may_be_late(channels) else None
-    fit = _or_likelier(late or search.along(path, channels), path, search, start)
-    in_noise = _noise_beside(fit, path, search, start)
-    forced = fit if fit.interrupted else in_noise(fit)
+    begun = in_prevailing_noise(channels, search) if start is None and late is None else None
+    if begun is not None:
+        fit, forced = begun
+        in_noise = _noise_beside(fit, path, search, start)
+    else:
+        fit = _or_likelier(late or search.along(path, channels), path, search, start)
+        in_noise = _noise_beside(fit, path, search, start)
+        forced = fit if fit.interrupted else in_noise(fit)
     if forced.interrupted:
         return forced
     if forced.own_noise and search.automatic and not fit.noise:
         fit = in_own_noise(fit, forced.own_noise, path, search)
-    # beside forces other delays explain no more where nothing is left that goes with the inputs
-    open_delay = assumptions.delay is None and (forced.beside is None or errors_leave_traces(forced))
+    open_delay = assumptions.delay is None and may_be_late(forced)
     in_white_noise = _beside_all_else(fit.with_delay_open(open_delay), search)
     return in_white_noise if forced.beside is None else _in_likelier_rows(forced, in_white_noise, in_noise, search)
 

@@ -135,7 +135,7 @@ def likeliest(
     for each in predictors:
         charge = (len(each.R[0]) + each.outputs) * float(np.log(samples * each.outputs))
         errors = each.errors()[: most + 1]
-        ranked += [(float(samples * error + size * charge), size, each) for size, error in enumerate(errors)]
+        ranked += [(float(samples * error + size * charge), size, each) for size, error in enumerate(errors) if size]
     return sorted(ranked, key=lambda row: row[0])
 
 

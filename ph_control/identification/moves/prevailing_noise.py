@@ -1,4 +1,4 @@
-"""Forces that nobody measured and that move a plant far more than its sensors have noise, before any search."""
+"""Noise that is far from white, whose model comes before any search: forces that nobody measured, or colour."""
 
 from __future__ import annotations
 
@@ -7,15 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..._types import ComplexArray
-from ..growth.ending import end_of_search
 from ..regression.free import FreeProjection
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import Experiments
-from ..search.fitted_modes import FreeFit, count_modes
+from ..search.fitted_modes import FreeFit, are_broad, count_modes
 from ..search.predictor_states import likeliest, predictors_of, signals_of
 from .assumptions import Search
-from .delays import errors_leave_traces
-from .drifts import with_constants
+from .delays import errors_leave_traces, leaves_traces
 
 _ROWS = 100  # of a covariance that only has to tell whether forces prevail
 _REAL = 4  # real poles at most beside modes
@@ -24,11 +22,17 @@ _DECAYS = 10.0  # time constants of the slowest pole that records last
 _PREVAILING = 0.1  # logarithm of the ratio of variances for each output
 
 
-def in_prevailing_forces(channels: Experiments, search: Search) -> FreeFit | None:
-    """Fit modes beside forces that nobody measured, where these move the plant far more than sensors have noise.
+def in_prevailing_noise(channels: Experiments, search: Search) -> tuple[FreeFit, FreeFit] | None:
+    """Fit modes in noise that is far from white: beside forces that nobody measured, or coloured noise of each output.
 
-    White noise tells little of the poles of such records, and a search in it takes modes for what the forces do.  So
-    the poles are those of a predictor.  None where no forces prevail, or where the fit beside them leaves traces.
+    White noise tells little of the poles of such records, and a search in it takes modes for what the noise does.  So
+    the poles to begin with are those of a predictor.
+
+    Returns
+    -------
+    tuple of FreeFit or None
+        The fit in noise of each output, and that beside forces: the same where noise is coloured.  None where no such
+        noise prevails, or where the fit leaves traces.
     """
     given = search.assumptions
     if given.white or given.delay is not None:
@@ -39,12 +43,17 @@ def in_prevailing_forces(channels: Experiments, search: Search) -> FreeFit | Non
     p = poles_of_predictor(records, len(path.counts), orders) if records else None
     if p is None:
         return None
-    path.best = path.reweighted(path.model(p))
-    fit = end_of_search(path, p, count_modes(p), False, channels, either_hold=search.held is None)
+    fit = search.from_poles(path, channels, p)
     forced = fit if fit.interrupted else given.beside(fit, orders=orders)
-    if forced.interrupted or forced.beside is None or errors_leave_traces(forced):
-        return None
-    return with_constants(forced) if given.drifting else forced
+    if forced.interrupted:
+        return fit, forced
+    if forced.own_noise and search.automatic:
+        path.best = None
+        path.whiten(forced.own_noise, path.power)
+        coloured = search.along(path, channels, p)
+        remains = not coloured.interrupted and (not coloured.states or leaves_traces(coloured.projection))
+        return None if remains else (coloured, coloured)
+    return None if forced.beside is None or errors_leave_traces(forced) else (fit, forced)
 
 
 def poles_of_predictor(records: Sequence[FreeRecord], outputs: int, orders: tuple[int, int]) -> ComplexArray | None:
@@ -71,9 +80,10 @@ def poles_of_predictor(records: Sequence[FreeRecord], outputs: int, orders: tupl
         if np.any((values.imag == 0) & (values.real <= 0)) or np.any(np.abs(values) >= 1):
             continue
         p = np.log(values) / records[0].hold.h
-        if not orders[0] <= count_modes(p) <= orders[1] or not len(p):
+        if not orders[0] <= count_modes(p) <= orders[1]:
             continue
-        if np.max(p.real) * records[0].hold.h * samples > -_DECAYS:
+        # lags and slow noise are told apart by a search
+        if not np.any((p.imag > 0) & ~are_broad(p)) or np.max(p.real) * records[0].hold.h * samples > -_DECAYS:
             return None
         projection = FreeProjection(records, p)
         residuals = [
