@@ -194,9 +194,9 @@ def _chosen(
     try:
         best = under_either_hold(best, request)
         best = with_late_outputs(best, lambda: free.rival if best.free is free else free, request, with_delay)
+        return best, judged(best, request, _beside(findings, best.free))
     except KeyboardInterrupt:
         return None, cut_short(judged(best, request, _beside(findings, best.free)))
-    return best, judged(best, request, _beside(findings, best.free))
 
 
 def _beside(findings: tuple[Finding, ...], free: FreeFit) -> tuple[Finding, ...]:
