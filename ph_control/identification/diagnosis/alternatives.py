@@ -1,4 +1,4 @@
-"""Searches in recordings as they would be without what disturbs them: hum, noise of other levels, strong forces."""
+"""Searches in recordings as they would be without what disturbs them: hum, or noise of other levels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from ..._types import Array
 from ..data.channels import Channels, Recording
-from ..innovations.strong_forces import beside_strong_forces
 from ..regression.tuning import TUNING
 from ..search.circumstances import Cause, Finding
 from ..search.fitted_modes import FreeFit
@@ -50,7 +49,7 @@ class Searched:
 Search = Callable[[Channels], Searched]
 
 
-def beside_disturbances(alone: Searched, search: Search, order: int | str, most: int, noise: str) -> Searched:
+def beside_disturbances(alone: Searched, search: Search, automatic: bool) -> Searched:
     """Search beside each disturbance in turn, as long as the criterion agrees; what was last where interrupted.
 
     Parameters
@@ -59,18 +58,12 @@ def beside_disturbances(alone: Searched, search: Search, order: int | str, most:
         A search in the channels as they were measured.
     search : callable
         Makes such a search in other channels.
-    order : int or 'auto'
-        Number of modes.
-    most : int
-        Largest number of modes.
-    noise : str
-        Noise that is assumed, an option of `pem`.
+    automatic : bool
+        Whether the number of modes is left to the data.
     """
     latest = alone
     try:
-        latest = _beside_hum(latest, search, isinstance(order, str))
-        if noise in ("auto", "forces"):
-            latest = replace(latest, free=beside_strong_forces(latest.free, order, most))
+        latest = _beside_hum(latest, search, automatic)
         latest = _beside_unequal_noise(latest, search)
         return latest if latest.free.beside is not None else _beside_changing_noise(latest, search)
     except KeyboardInterrupt:

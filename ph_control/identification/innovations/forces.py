@@ -143,31 +143,6 @@ def beside_forces(
     return fitted.with_rival(lambda rival: _beside_forces(rival, kind, True))
 
 
-def beside_known_forces(free: FreeFit, noise: NoiseSections) -> FreeFit:
-    """The fit whose poles and forces begin with those of a noise of the outputs, in units of the data.
-
-    What white noise would make of poles plays no part.  The same where the record does not allow the likelihood.
-    """
-    rows, sections, fed = _rows(free), noise.sections, free.projection.fed
-    if rows is None or not _is_feasible(rows, sections, len(free.scales)):
-        return free
-    projection = FreeProjection(rows, sections.p, fed, sections)
-    experiments = experiments_of(projection, free.channels)
-    if experiments is None:
-        return free
-    scaled = noise.moved(sections, noise.C / free.scales[:, None], noise.K * free.scales)
-    problem = Problem(experiments, projection.shown, fed=fed)
-    try:
-        best = _followed(problem, InnovationsModel(scaled, projection.shared, tuple(projection.own)), steps=_STEPS)
-    except KeyboardInterrupt:
-        return replace(free, interrupted=True)
-    if not np.isfinite(best.evaluation.cost):
-        return free
-    white = replace_colour(problem, False).at(best.evaluation.point)
-    forced = _in_noise(free, best, _alone(replace(free, noise=()), rows, white), True)
-    return forced.with_rival(lambda rival: beside_known_forces(rival, noise))
-
-
 def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: Orders = AS_FITTED) -> FreeFit:
     rows = _rows(free)
     if rows is None:

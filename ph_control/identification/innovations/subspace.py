@@ -84,27 +84,40 @@ def _inverse_root(S: Array) -> Array:
 
 
 def in_sections(A: Array, C: Array, K: Array, step: float) -> NoiseSections | None:
-    """A discrete model in sections; None where it has poles that no continuous one has, or that are one pole."""
+    """A discrete model in sections, without poles that no decaying motion in continuous time has.
+
+    None where two poles are one, or all are left out.
+    """
     values, vectors = np.linalg.eig(A)
-    kept = np.flatnonzero(values.imag >= 0)
-    if np.any((values[kept].imag == 0) & (values[kept].real <= 0)) or np.any(np.abs(values) >= 1):
+    upper = values.imag >= 0
+    decaying = (np.abs(values) < 1) & ((values.imag != 0) | (values.real > 0))
+    kept, others = np.flatnonzero(upper & decaying), np.flatnonzero(upper & ~decaying)
+    if not len(kept):
         return None
-    poles: ComplexArray = np.log(values[kept]) / step
+    poles: ComplexArray = np.log(values[kept].astype(complex)) / step
     sections = Sections.of(poles)
     references = np.sqrt(np.maximum(np.abs(sections.square), (1e-3 * sections.decay) ** 2))
-    model = NoiseSections(sections, step, references, C, K)
+    size = 2 * len(sections.decay) + len(sections.rates)
+    model = NoiseSections(sections, step, references, np.zeros((len(C), size)), np.zeros((size, len(C))))
     spans = [vectors[:, [kept[k] for k in dict.fromkeys(places)]] for places in sections.places.tolist()]
     spans += [vectors[:, [kept[k]]] for k in sections.single.tolist()]
-    T, first = np.zeros(A.shape), 0
+    columns, first = list[Array](), 0
     for span in spans:
-        both = np.concatenate([span.real, span.imag], axis=1) if span.imag.any() else span.real
+        both = _real_basis(span)
         these = slice(first, first + both.shape[1])
         inner = np.linalg.lstsq(both, A @ both, rcond=None)[0]
-        T[:, these] = both @ _similar(inner, model.A[these, these])
+        columns.append(np.asarray(both @ _similar(np.asarray(inner, float), model.A[these, these]), float))
         first = these.stop
+    T = np.concatenate([*columns, *(_real_basis(vectors[:, [k]]) for k in others.tolist())], axis=1)
     if not np.linalg.cond(T) < 1 / _RANK:
         return None
-    return model.moved(sections, C @ T, np.asarray(np.linalg.solve(T, K), float))
+    return model.moved(sections, C @ T[:, :size], np.asarray(np.linalg.solve(T, K)[:size], float))
+
+
+def _real_basis(span: ComplexArray) -> Array:
+    """Real vectors that span as much as some vectors and their conjugates do."""
+    both: Array = np.concatenate([span.real, span.imag], axis=1) if span.imag.any() else span.real
+    return both
 
 
 def _similar(inner: Array, block: Array) -> Array:

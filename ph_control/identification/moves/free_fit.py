@@ -111,7 +111,8 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
         return forced
     if forced.own_noise and search.automatic and not fit.noise:
         fit = in_own_noise(fit, forced.own_noise, path, search)
-    open_delay = assumptions.delay is None and may_be_late(forced)
+    # a predictor would foretell more by what is late
+    open_delay = assumptions.delay is None and not (begun and forced.beside) and may_be_late(forced)
     in_white_noise = _beside_all_else(fit.with_delay_open(open_delay), search)
     return in_white_noise if forced.beside is None else _in_likelier_rows(forced, in_white_noise, in_noise, search)
 

@@ -18,7 +18,7 @@ from .delays import errors_leave_traces, leaves_traces
 _ROWS = 100  # of a covariance that only has to tell whether forces prevail
 _REAL = 4  # real poles at most beside modes
 _CLOSE = 3  # models that are looked at
-_DECAYS = 10.0  # time constants of the slowest pole that records last
+_DECAYS = 10.0  # time constants of the slowest mode that records last
 _PREVAILING = 0.1  # logarithm of the ratio of variances for each output
 
 
@@ -32,7 +32,7 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> tuple[FreeFit,
     -------
     tuple of FreeFit or None
         The fit in noise of each output, and that beside forces: the same where noise is coloured.  None where no such
-        noise prevails, or where the fit leaves traces.
+        noise prevails, or where the fit leaves traces and is less likely than the predictor.
     """
     given = search.assumptions
     if given.white or given.delay is not None:
@@ -40,9 +40,10 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> tuple[FreeFit,
     path = search.path(channels)
     records = [record for record in path.plain.data if isinstance(record, FreeRecord)]
     orders = (0 if search.automatic else search.most), search.most
-    p = poles_of_predictor(records, len(path.counts), orders) if records else None
-    if p is None:
+    foretold = likely_poles(records, len(path.counts), orders) if records else None
+    if foretold is None:
         return None
+    p, bic = foretold
     fit = search.from_poles(path, channels, p)
     forced = fit if fit.interrupted else given.beside(fit, orders=orders)
     if forced.interrupted:
@@ -51,13 +52,18 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> tuple[FreeFit,
         path.best = None
         path.whiten(forced.own_noise, path.power)
         coloured = search.along(path, channels, p)
-        remains = not coloured.interrupted and (not coloured.states or leaves_traces(coloured.projection))
-        return None if remains else (coloured, coloured)
-    return None if forced.beside is None or errors_leave_traces(forced) else (fit, forced)
+        stands = coloured.interrupted or (
+            coloured.states and (coloured.criteria.bic <= bic or not leaves_traces(coloured.projection))
+        )
+        return (coloured, coloured) if stands else None
+    stands = forced.beside is not None and (forced.criteria.bic <= bic or not errors_leave_traces(forced))
+    return (fit, forced) if stands else None
 
 
-def poles_of_predictor(records: Sequence[FreeRecord], outputs: int, orders: tuple[int, int]) -> ComplexArray | None:
-    """Return poles of the likeliest predictor, where it foretells far more than inputs alone do from these poles.
+def likely_poles(
+    records: Sequence[FreeRecord], outputs: int, orders: tuple[int, int]
+) -> tuple[ComplexArray, float] | None:
+    """Return the poles of the likeliest predictor, where it foretells far more than inputs alone do from these poles.
 
     Parameters
     ----------
@@ -67,23 +73,26 @@ def poles_of_predictor(records: Sequence[FreeRecord], outputs: int, orders: tupl
         Number of outputs.
     orders : pair of int
         Smallest and largest number of modes.
+
+    Returns
+    -------
+    tuple of ndarray and float or None
+        Poles of imaginary part 0 or more, and the smallest BIC of all predictors.
     """
     signals = signals_of(records, outputs)
     if signals is None:
         return None
     samples = sum(each.shape[1] for each in signals)
-    for _, size, predictor in likeliest(predictors_of(signals, outputs, _ROWS), samples, 2 * orders[1] + _REAL)[
-        :_CLOSE
-    ]:
+    ranked = likeliest(predictors_of(signals, outputs, _ROWS), samples, 2 * orders[1] + _REAL)
+    for _, size, predictor in ranked[:_CLOSE]:
         values = np.linalg.eigvals(predictor.model(size)[0])
-        values = values[values.imag >= 0].astype(complex)
-        if np.any((values.imag == 0) & (values.real <= 0)) or np.any(np.abs(values) >= 1):
-            continue
-        p = np.log(values) / records[0].hold.h
+        decaying = (np.abs(values) < 1) & ((values.imag > 0) | ((values.imag == 0) & (values.real > 0)))
+        p = np.log(values[decaying].astype(complex)) / records[0].hold.h
         if not orders[0] <= count_modes(p) <= orders[1]:
             continue
         # lags and slow noise are told apart by a search
-        if not np.any((p.imag > 0) & ~are_broad(p)) or np.max(p.real) * records[0].hold.h * samples > -_DECAYS:
+        peaks = p[(p.imag > 0) & ~are_broad(p)]
+        if not len(peaks) or np.max(peaks.real) * records[0].hold.h * samples > -_DECAYS:
             return None
         projection = FreeProjection(records, p)
         residuals = [
@@ -91,5 +100,6 @@ def poles_of_predictor(records: Sequence[FreeRecord], outputs: int, orders: tupl
         ]
         covariance = sum(each @ each.T for each in residuals) / samples
         gain = float(np.linalg.slogdet(covariance)[1] - predictor.errors()[size]) / outputs
-        return p if gain > _PREVAILING else None
+        bic = ranked[0][0] + samples * outputs * (1 + float(np.log(2 * np.pi)))
+        return (p, bic) if gain > _PREVAILING else None
     return None
