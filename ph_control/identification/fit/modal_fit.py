@@ -20,6 +20,7 @@ from ..regression.free import FreeProjection, Lateness, refine_free
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import is_short
 from ..search.circumstances import Cause, Finding
+from ..search.criteria import Orders
 from ..search.fitted_modes import FreeFit
 from ..search.progress import reporter
 from ..structure.choice import Choice, Request, under_either_hold
@@ -99,7 +100,7 @@ def _of_modes_and_inputs(
 # --- the search ------------------------------------------------------------------------------------------------------
 
 
-def _in_noise_of(noise: str, fit: FreeFit, orders: tuple[int, int]) -> FreeFit:
+def _in_noise_of(noise: str, fit: FreeFit, orders: Orders) -> FreeFit:
     """A fit in the noise that is given, or the likeliest; where hits act in a part of a record, noise may change."""
     records = [rows for rows in fit.projection.experiments if isinstance(rows, FreeRecord)]
     if any(rows.level is not None for rows in records):

@@ -17,7 +17,7 @@ from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.circumstances import Cause, Finding, foretold
-from ..search.criteria import Criteria
+from ..search.criteria import Criteria, Orders
 from ..search.fitted_modes import FreeFit
 from ..search.predictor_states import likeliest, predictors_of, signals_of
 from ..uncertainty.noise_model import NoiseModel
@@ -29,10 +29,9 @@ from .noise_sections import NoiseSections
 from .subspace import in_sections
 
 Start = tuple[Problem, InnovationsModel]  # the data, and a model without forces
-Orders = tuple[int, int]  # smallest and largest number of modes
 
 KINDS = ("correlated", "forces")
-AS_FITTED = 0, 0  # modes that are known
+AS_FITTED = Orders()  # poles are known
 _LEVEL = 1e-3  # probability that white noise of its own at each output looks as if there were more to it
 _SCREEN = 0.05  # of the score test that comes before, whose law holds for long records
 _HINT = 0.25  # of what the BIC asks for, which one step promises at least
@@ -47,7 +46,6 @@ _SINGULAR = 1e-3  # smallest eigenvalue of the correlations: outputs so nearly a
 _LONGEST_PAST = 64  # samples that noise of an output may depend on
 _ROUGH, _FEW = 1.0, 12  # tolerance and steps of a minimisation on the way
 _ROWS = 300  # of a covariance of the past of outputs and inputs
-_REAL = 4  # real poles at most beside modes
 _CLOSE = 3  # models that are refined before the criterion chooses
 
 
@@ -123,8 +121,8 @@ def beside_forces(
         What is looked for.
     certain : bool
         Whether the last of the `kinds` is taken as given, and not tested.
-    orders : pair of int
-        Smallest and largest number of modes that are looked for; none, 0 and 0, where the modes are known.
+    orders : Orders
+        Numbers of poles that are looked for.
 
     Returns
     -------
@@ -156,7 +154,7 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
     foretold = _Predictors(free, rows, orders)
     best = _in_shared_noise(white, alone, certain, foretold) if white is not None and "correlated" in kinds else None
     if "forces" in kinds and (certain or white is None or _hints_at_forces(best.evaluation if best else white)):
-        forced = _forced(start, orders, foretold)
+        forced = _forced(start, foretold)
         if forced is not None and (certain or _shows_forces(free, rows, forced, best)):
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
@@ -191,7 +189,7 @@ def _without_gain(begin: Start) -> Start:
     return replace_colour(problem, False), replace(point, noise=noise.moved(noise.sections, noise.C, 0 * noise.K))
 
 
-def _forced(start: Start | None, orders: Orders, foretold: _Predictors) -> Minimum | None:
+def _forced(start: Start | None, foretold: _Predictors) -> Minimum | None:
     """The minimum beside forces: with the same modes, or with those that the BIC prefers of so many.
 
     In white noise modes more than there are stand for what forces do, and weak ones are hidden by it: so the search
@@ -204,7 +202,7 @@ def _forced(start: Start | None, orders: Orders, foretold: _Predictors) -> Minim
         return None
     best = min(ends, key=lambda end: _bic(end.evaluation))
     best = _followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
-    return best if orders[0] == orders[1] else _of_fewer_modes(best)
+    return _of_fewer_modes(best) if foretold.orders.are_open else best
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,14 +217,13 @@ class _Predictors:
     def starts(self) -> list[Start]:
         """Those of smallest BIC first; none where the modes are known."""
         outputs, rows, starts = len(self.free.scales), self.rows, list[Start]()
-        signals = signals_of(rows, outputs) if self.orders[1] else None
+        signals = signals_of(rows, outputs) if self.orders.most else None
         if signals is None:
             return []
         samples = sum(each.shape[1] for each in signals)
-        states = 2 * self.orders[1] + _REAL
-        for _, size, predictor in likeliest(predictors_of(signals, outputs, _ROWS), samples, states):
-            noise = in_sections(*predictor.model(size), rows[0].hold.h)
-            if noise is None or not self.orders[0] <= int(np.sum(noise.sections.p.imag > 0)) <= self.orders[1]:
+        for _, size, predictor in likeliest(predictors_of(signals, outputs, _ROWS), samples, self.orders.states):
+            noise = in_sections(*predictor.model(size), rows[0].hold.h, self.orders.among)
+            if noise is None or not self.orders.admit(noise.sections.p):
                 continue
             start = _beside(self.free, rows, noise)
             starts += [] if start is None else [start]

@@ -6,16 +6,19 @@ model that is made of them is stable, and its predictor forgets.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, Mask
 from ..regression.sections import Sections
+from ..search.criteria import Orders
 from .noise_sections import NoiseSections
 
+_ANY = Orders()
 _RANK = 1e-10  # of the largest eigenvalue of a covariance
 _TURNS = 16  # bases of a section that are tried for a good condition
 
@@ -83,15 +86,16 @@ def _inverse_root(S: Array) -> Array:
     return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
 
 
-def in_sections(A: Array, C: Array, K: Array, step: float) -> NoiseSections | None:
-    """A discrete model in sections, without poles that no decaying motion in continuous time has.
+def in_sections(
+    A: Array, C: Array, K: Array, step: float, among: Callable[[ComplexArray], Mask] = _ANY.among
+) -> NoiseSections | None:  # fmt: skip
+    """A discrete model in sections, of the poles `among` those there are: by default all that motions in time have.
 
     None where two poles are one, or all are left out.
     """
     values, vectors = np.linalg.eig(A)
-    upper = values.imag >= 0
-    decaying = (np.abs(values) < 1) & ((values.imag != 0) | (values.real > 0))
-    kept, others = np.flatnonzero(upper & decaying), np.flatnonzero(upper & ~decaying)
+    chosen = among(values)
+    kept, others = np.flatnonzero(chosen), np.flatnonzero((values.imag >= 0) & ~chosen)
     if not len(kept):
         return None
     poles: ComplexArray = np.log(values[kept].astype(complex)) / step

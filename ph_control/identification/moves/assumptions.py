@@ -13,13 +13,14 @@ from ..growth.ending import end_of_search, finished
 from ..regression.free import Lateness
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import Experiments, RowOptions, records_of
+from ..search.criteria import Orders
 from ..search.fitted_modes import FreeFit, count_modes
 from ..search.path import FreePath, Reports, SearchOptions
 
 Anew = Callable[[Lateness, int, ComplexArray | None], FreeFit]  # search, or from poles, with delays and offsets
 
 
-def alone(fit: FreeFit, orders: tuple[int, int]) -> FreeFit:
+def alone(fit: FreeFit, orders: Orders) -> FreeFit:
     """Return a fit as it is, in white noise."""
     return fit
 
@@ -116,6 +117,12 @@ class Search:
     def held(self) -> str | None:
         """How inputs are held between samples; None where the data tell."""
         return None if self.assumptions.intersample == "auto" else self.assumptions.intersample
+
+    @property
+    def orders(self) -> Orders:
+        """Numbers of poles that are searched."""
+        real = self.assumptions.real_poles
+        return Orders(0 if self.automatic else self.most, self.most, real if isinstance(real, int) else None)
 
     def path(
         self, channels: Experiments, late: Lateness | None = None, terms: int | None = None, hold: str | None = None

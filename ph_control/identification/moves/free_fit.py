@@ -19,6 +19,7 @@ from ..data.parts import is_long
 from ..growth.held_out import foretelling_order
 from ..regression.tuning import TUNING
 from ..search.channel_rows import Experiments
+from ..search.criteria import Orders
 from ..search.fitted_modes import FreeFit
 from ..search.path import FreePath
 from .assumptions import Assumptions, Search, alone
@@ -130,11 +131,11 @@ def _or_likelier(fit: FreeFit, path: FreePath, search: Search, start: ComplexArr
 def _noise_beside(fit: FreeFit, path: FreePath, search: Search, start: ComplexArray | None) -> InNoise:
     """Return what makes the fit in noise of another kind, of as many modes as are open; the fit itself if all are."""
     if search.automatic and fit.order >= search.most:
-        return partial(alone, orders=(0, 0))  # what modes that are missing leave says nothing of the noise
+        return partial(alone, orders=Orders())  # what modes that are missing leave says nothing of the noise
     if search.automatic:
-        orders = 0, min(search.assumptions.max_order, path.carried)
+        orders = replace(search.orders, most=min(search.assumptions.max_order, path.carried))
     else:
-        orders = (search.most, search.most) if start is None else (0, 0)
+        orders = search.orders if start is None else Orders()
     return partial(search.assumptions.beside, orders=orders)
 
 

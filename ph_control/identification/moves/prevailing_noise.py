@@ -10,13 +10,13 @@ from ..._types import ComplexArray
 from ..regression.free import FreeProjection
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import Experiments
-from ..search.fitted_modes import FreeFit, are_broad, count_modes
+from ..search.criteria import Orders
+from ..search.fitted_modes import FreeFit, are_broad
 from ..search.predictor_states import likeliest, predictors_of, signals_of
 from .assumptions import Search
 from .delays import errors_leave_traces, leaves_traces
 
 _ROWS = 100  # of a covariance that only has to tell whether forces prevail
-_REAL = 4  # real poles at most beside modes
 _CLOSE = 3  # models that are looked at
 _DECAYS = 10.0  # time constants of the slowest mode that records last
 _PREVAILING = 0.1  # logarithm of the ratio of variances for each output
@@ -39,7 +39,7 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> tuple[FreeFit,
         return None
     path = search.path(channels)
     records = [record for record in path.plain.data if isinstance(record, FreeRecord)]
-    orders = (0 if search.automatic else search.most), search.most
+    orders = search.orders
     foretold = likely_poles(records, len(path.counts), orders) if records else None
     if foretold is None:
         return None
@@ -60,9 +60,7 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> tuple[FreeFit,
     return (fit, forced) if stands else None
 
 
-def likely_poles(
-    records: Sequence[FreeRecord], outputs: int, orders: tuple[int, int]
-) -> tuple[ComplexArray, float] | None:
+def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) -> tuple[ComplexArray, float] | None:
     """Return the poles of the likeliest predictor, where it foretells far more than inputs alone do from these poles.
 
     Parameters
@@ -71,8 +69,8 @@ def likely_poles(
         Records without delays.
     outputs : int
         Number of outputs.
-    orders : pair of int
-        Smallest and largest number of modes.
+    orders : Orders
+        Numbers of poles.
 
     Returns
     -------
@@ -83,12 +81,11 @@ def likely_poles(
     if signals is None:
         return None
     samples = sum(each.shape[1] for each in signals)
-    ranked = likeliest(predictors_of(signals, outputs, _ROWS), samples, 2 * orders[1] + _REAL)
+    ranked = likeliest(predictors_of(signals, outputs, _ROWS), samples, orders.states)
     for _, size, predictor in ranked[:_CLOSE]:
-        values = np.linalg.eigvals(predictor.model(size)[0])
-        decaying = (np.abs(values) < 1) & ((values.imag > 0) | ((values.imag == 0) & (values.real > 0)))
-        p = np.log(values[decaying].astype(complex)) / records[0].hold.h
-        if not orders[0] <= count_modes(p) <= orders[1]:
+        values: ComplexArray = np.asarray(np.linalg.eigvals(predictor.model(size)[0]), complex)
+        p: ComplexArray = np.asarray(np.log(values[orders.among(values)]) / records[0].hold.h, complex)
+        if not orders.admit(p):
             continue
         # lags and slow noise are told apart by a search
         peaks = p[(p.imag > 0) & ~are_broad(p)]
@@ -100,6 +97,6 @@ def likely_poles(
         ]
         covariance = sum(each @ each.T for each in residuals) / samples
         gain = float(np.linalg.slogdet(covariance)[1] - predictor.errors()[size]) / outputs
-        bic = ranked[0][0] + samples * outputs * (1 + float(np.log(2 * np.pi)))
+        bic = float(ranked[0][0]) + samples * outputs * (1 + float(np.log(2 * np.pi)))
         return (p, bic) if gain > _PREVAILING else None
     return None

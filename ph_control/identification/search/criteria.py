@@ -7,11 +7,49 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-from ..._types import Array
+from ..._types import Array, ComplexArray, Mask
 from ..regression.tuning import TUNING
 
 CRITERIA = ("bic", "aicc", "aic", "holdout")
+_REAL = 4  # real poles at most beside modes whose number is open
 HELD_OUT = 1 / 3  # of each experiment, by the criterion of that name
+
+
+@dataclass(frozen=True)
+class Orders:
+    """Numbers of poles that a model may have.
+
+    Attributes
+    ----------
+    fewest, most : int
+        Modes; 0 and 0 where these are known.
+    real_poles : int or None
+        Real poles; None for any number.
+    """
+
+    fewest: int = 0
+    most: int = 0
+    real_poles: int | None = None
+
+    @property
+    def are_open(self) -> bool:
+        """Whether the data choose the number of modes."""
+        return self.fewest < self.most
+
+    @property
+    def states(self) -> int:
+        """States of the largest model, some real poles among them."""
+        return 2 * self.most + _REAL
+
+    def admit(self, p: ComplexArray) -> bool:
+        """Whether a model may have poles, given by those of imaginary part 0 or more."""
+        real = int(np.sum(p.imag == 0))
+        return self.fewest <= len(p) - real <= self.most and self.real_poles in (None, real)
+
+    def among(self, p: ComplexArray) -> Mask:
+        """Which of the poles of a discrete model, one of each pair, are those of motions that decay as they may."""
+        real_may_be = self.real_poles != 0
+        return (np.abs(p) < 1) & ((p.imag > 0) | (real_may_be & (p.imag == 0) & (p.real > 0)))
 
 
 @dataclass(frozen=True)
