@@ -19,7 +19,7 @@ from ..regression.tuning import TUNING
 from ..search.circumstances import Cause, Finding, foretold
 from ..search.criteria import Criteria, Orders
 from ..search.fitted_modes import FreeFit
-from ..search.predictor_states import likeliest, predictors_of, signals_of
+from ..search.predictor_states import PredictorStates, likeliest, predictors_of, signals_of
 from ..uncertainty.noise_model import NoiseModel
 from ..uncertainty.residual_tests import ljung_box
 from .joint import JointProjection, Quadratic
@@ -153,7 +153,11 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
     alone = _alone(free, rows, white)
     foretold = _Predictors(free, rows, orders)
     best = _in_shared_noise(white, alone, certain, foretold) if white is not None and "correlated" in kinds else None
-    if "forces" in kinds and (certain or white is None or _hints_at_forces(best.evaluation if best else white)):
+    if white is None:
+        hinted = foretold.bic < alone + (free.unknowns + len(free.scales)) * float(np.log(_samples(rows)))
+    else:
+        hinted = "forces" in kinds and (certain or _hints_at_forces(best.evaluation if best else white))
+    if "forces" in kinds and (certain or hinted):
         forced = _forced(start, foretold)
         if forced is not None and (certain or _shows_forces(free, rows, forced, best)):
             best = forced
@@ -214,14 +218,25 @@ class _Predictors:
     orders: Orders
 
     @cached_property
-    def starts(self) -> list[Start]:
-        """Those of smallest BIC first; none where the modes are known."""
-        outputs, rows, starts = len(self.free.scales), self.rows, list[Start]()
-        signals = signals_of(rows, outputs) if self.orders.most else None
+    def _ranked(self) -> list[tuple[float, int, PredictorStates]]:
+        """Predictors, those of the smallest BIC first; none where modes are known."""
+        signals = signals_of(self.rows, len(self.free.scales)) if self.orders.most else None
         if signals is None:
             return []
         samples = sum(each.shape[1] for each in signals)
-        for _, size, predictor in likeliest(predictors_of(signals, outputs, _ROWS), samples, self.orders.states):
+        return likeliest(predictors_of(signals, len(self.free.scales), _ROWS), samples, self.orders.states)
+
+    @property
+    def bic(self) -> float:
+        """Smallest BIC, infinite if there is none."""
+        each = 1 + float(np.log(2 * np.pi))
+        return float(self._ranked[0][0]) + _samples(self.rows) * each if self._ranked else np.inf
+
+    @cached_property
+    def starts(self) -> list[Start]:
+        """Models of the likeliest predictors that have as many modes."""
+        rows, starts = self.rows, list[Start]()
+        for _, size, predictor in self._ranked:
             noise = in_sections(*predictor.model(size), rows[0].hold.h, self.orders.among)
             if noise is None or not self.orders.admit(noise.sections.p):
                 continue

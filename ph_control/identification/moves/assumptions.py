@@ -150,14 +150,17 @@ class Search:
         begin = self.begin if begin is None else begin
         return end_of_search(path, begin, self.most, self.automatic, channels, either_hold=self.held is None)
 
-    def from_poles(self, path: FreePath, channels: Experiments, p: ComplexArray) -> FreeFit:
-        """Return the fit with as many poles as some to begin with."""
+    def from_poles(self, path: FreePath, channels: Experiments, p: ComplexArray, bic: float) -> FreeFit | None:
+        """Return the fit that begins with some poles and has as many; None if its BIC is no larger than another."""
         try:
-            path.best = path.reweighted(path.model(p))
+            model = path.reweighted(path.model(p))
         except KeyboardInterrupt:
             if path.best is None:
                 raise
             return finished(path, path.best, channels, interrupted=True)
+        if path.criteria(path.loglik(model.losses), path.search.unknowns_of(model.p)).bic <= bic:
+            return None
+        path.best = model
         return end_of_search(path, p, count_modes(p), False, channels, either_hold=self.held is None)
 
     def anew(self, fit: FreeFit) -> Anew:

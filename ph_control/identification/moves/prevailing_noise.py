@@ -44,7 +44,9 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> tuple[FreeFit,
     if foretold is None:
         return None
     p, bic = foretold
-    fit = search.from_poles(path, channels, p)
+    fit = search.from_poles(path, channels, p, bic)
+    if fit is None:
+        return None
     forced = fit if fit.interrupted else given.beside(fit, orders=orders)
     if forced.interrupted:
         return fit, forced
