@@ -93,6 +93,8 @@ def in_sections(
 
     None where two poles are one, or all are left out.
     """
+    if not np.isfinite(A).all():
+        return None
     values, vectors = np.linalg.eig(A)
     chosen = among(values)
     kept, others = np.flatnonzero(chosen), np.flatnonzero((values.imag >= 0) & ~chosen)

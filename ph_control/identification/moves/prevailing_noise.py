@@ -16,9 +16,11 @@ from ..search.predictor_states import likeliest, predictors_of, signals_of
 from .assumptions import Search
 from .delays import errors_leave_traces, leaves_traces
 
+_SAMPLES = 1500  # of a record whose errors would show what is missing
 _ROWS = 100  # of a covariance that only has to tell whether forces prevail
 _CLOSE = 3  # models that are looked at
 _DECAYS = 10.0  # time constants of the slowest mode that records last
+_ROUNDING = 18.0  # logarithm of the ratio of variances for each output: what is left is rounding
 _PREVAILING = 0.1  # logarithm of the ratio of variances for each output
 
 
@@ -32,7 +34,7 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> tuple[FreeFit,
     -------
     tuple of FreeFit or None
         The fit in noise of each output, and that beside forces: the same where noise is coloured.  None where no such
-        noise prevails, or where the fit leaves traces and is less likely than the predictor.
+        noise prevails, records are short, or the fit leaves traces.
     """
     given = search.assumptions
     if given.white or given.delay is not None:
@@ -54,11 +56,9 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> tuple[FreeFit,
         path.best = None
         path.whiten(forced.own_noise, path.power)
         coloured = search.along(path, channels, p)
-        stands = coloured.interrupted or (
-            coloured.states and (coloured.criteria.bic <= bic or not leaves_traces(coloured.projection))
-        )
+        stands = coloured.interrupted or (coloured.states and not leaves_traces(coloured.projection))
         return (coloured, coloured) if stands else None
-    stands = forced.beside is not None and (forced.criteria.bic <= bic or not errors_leave_traces(forced))
+    stands = forced.beside is not None and not errors_leave_traces(forced)
     return (fit, forced) if stands else None
 
 
@@ -83,9 +83,14 @@ def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) ->
     if signals is None:
         return None
     samples = sum(each.shape[1] for each in signals)
+    if samples < _SAMPLES:
+        return None
     ranked = likeliest(predictors_of(signals, outputs, _ROWS), samples, orders.states)
     for _, size, predictor in ranked[:_CLOSE]:
-        values: ComplexArray = np.asarray(np.linalg.eigvals(predictor.model(size)[0]), complex)
+        A, errors = predictor.model(size)[0], predictor.errors()
+        if not np.isfinite(A).all() or errors[0] - errors[size] > _ROUNDING * outputs:
+            return None
+        values: ComplexArray = np.asarray(np.linalg.eigvals(A), complex)
         p: ComplexArray = np.asarray(np.log(values[orders.among(values)]) / records[0].hold.h, complex)
         if not orders.admit(p):
             continue
@@ -98,7 +103,7 @@ def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) ->
             rows.residuals(predicted) for rows, predicted in zip(records, projection.predictions(), strict=True)
         ]
         covariance = sum(each @ each.T for each in residuals) / samples
-        gain = float(np.linalg.slogdet(covariance)[1] - predictor.errors()[size]) / outputs
+        gain = float(np.linalg.slogdet(covariance)[1] - errors[size]) / outputs
         bic = float(ranked[0][0]) + samples * outputs * (1 + float(np.log(2 * np.pi)))
         return (p, bic) if gain > _PREVAILING else None
     return None

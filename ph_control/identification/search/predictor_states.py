@@ -140,7 +140,7 @@ def likeliest(
 
 
 def signals_of(records: Sequence[FreeRecord], outputs: int) -> list[Array] | None:
-    """Outputs and inputs (p + m, T) of records less their means; None where samples or outputs are missing."""
+    """Outputs and inputs (p + m, T) less their means; None where samples are missing, or outputs constant."""
     inputs = max((int(rows.acting.max(initial=-1)) + 1 for rows in records), default=0)
     signals = []
     for rows in records:
@@ -149,4 +149,4 @@ def signals_of(records: Sequence[FreeRecord], outputs: int) -> list[Array] | Non
         both = np.zeros((outputs + inputs, rows.length))
         both[rows.outputs], both[outputs + rows.acting] = rows.measured, rows.u[: rows.inputs]
         signals.append(both - both.mean(axis=1, keepdims=True))
-    return signals
+    return signals if all(each[:outputs].any(axis=1).all() for each in signals) else None
