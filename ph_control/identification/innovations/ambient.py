@@ -17,7 +17,7 @@ import numpy as np
 from ..._types import Array, ComplexArray
 from ..data.channels import Recording
 from ..search.criteria import Criteria
-from ..search.predictor_states import correlations
+from ..search.predictor_states import cross_correlations, longest_past
 from ..search.progress import Report
 from .minimum import Experiment, InnovationsModel, LikelihoodEvaluation, Minimum, Problem, minimise
 from .noise_sections import NoiseSections
@@ -25,7 +25,6 @@ from .subspace import CanonicalVariates, in_sections
 
 _ROWS = 300  # of a covariance of the past
 _HORIZONS = (1.0, 0.5, 0.25)  # of the longest past
-_SAMPLES_EACH = 10  # of the records for each sample of the past
 _CLOSE = 3  # models that are refined before the criterion chooses
 _NEAR = 60.0  # of the smallest BIC: what refinement may make up for
 _STEPS = 12  # of these
@@ -236,15 +235,14 @@ class _Standardised:
     @property
     def longest(self) -> int:
         """Samples of the longest past."""
-        p, shortest = len(self.scales), min(y.shape[1] for y in self.outputs)
-        return min(_ROWS // p, shortest // 4, self.problem.samples // (_SAMPLES_EACH * p))
+        return longest_past(self.outputs, _ROWS)
 
     def models(
         self, most: int, automatic: bool = False, reports: Callable[[int], Report | None] = lambda order: None
     ) -> _Models:
         """Models of up to so many states; none beyond those that the criterion prefers, where that is to choose."""
         samples = self.problem.samples
-        R = np.asarray(sum(correlations(y, 2 * self.longest) for y in self.outputs)) / samples
+        R = np.asarray(sum(cross_correlations(y, 2 * self.longest) for y in self.outputs)) / samples
         thinned = [experiment.thinned(max(1, len(experiment.z) // _BINS)) for experiment in self.problem.experiments]
         coarse = Problem(thinned, self.problem.active)
         nothing = _judged(coarse, NoiseSections.without_states(len(self.scales)))

@@ -153,11 +153,7 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
     alone = _alone(free, rows, white)
     foretold = _Predictors(free, rows, orders)
     best = _in_shared_noise(white, alone, certain, foretold) if white is not None and "correlated" in kinds else None
-    if white is None:
-        hinted = foretold.bic < alone + (free.unknowns + len(free.scales)) * float(np.log(_samples(rows)))
-    else:
-        hinted = "forces" in kinds and (certain or _hints_at_forces(best.evaluation if best else white))
-    if "forces" in kinds and (certain or hinted):
+    if "forces" in kinds and (certain or _hints_at_forces(foretold, alone, best.evaluation if best else white)):
         forced = _forced(start, foretold)
         if forced is not None and (certain or _shows_forces(free, rows, forced, best)):
             best = forced
@@ -229,35 +225,40 @@ class _Predictors:
     @property
     def bic(self) -> float:
         """Smallest BIC, infinite if there is none."""
-        each = 1 + float(np.log(2 * np.pi))
-        return float(self._ranked[0][0]) + _samples(self.rows) * each if self._ranked else np.inf
+        return self._ranked[0][0] if self._ranked else np.inf
 
     @cached_property
     def starts(self) -> list[Start]:
         """Models of the likeliest predictors that have as many modes."""
         rows, starts = self.rows, list[Start]()
         for _, size, predictor in self._ranked:
-            noise = in_sections(*predictor.model(size), rows[0].hold.h, self.orders.among)
+            noise = in_sections(*predictor.model(size), rows[0].hold.h, self.orders)
             if noise is None or not self.orders.admit(noise.sections.p):
                 continue
-            start = _beside(self.free, rows, noise)
+            start = _beside(self.free, rows, noise.sections, noise)
             starts += [] if start is None else [start]
             if len(starts) == _CLOSE:
                 break
         return starts
 
 
-def _beside(free: FreeFit, rows: Sequence[FreeRecord], noise: NoiseSections) -> Start | None:
-    """The data and a model with a noise, in units of the rows, and what is driven as in white noise."""
+def _beside(
+    free: FreeFit, rows: Sequence[FreeRecord], sections: Sections, noise: NoiseSections | None = None
+) -> Start | None:
+    """The data and a model with some sections: what is driven as in white noise, and a noise, by default no forces.
+
+    None where the likelihood would take too long.
+    """
     fed = free.projection.fed
-    if not _is_feasible(rows, noise.sections, len(free.scales)):
+    if not _is_feasible(rows, sections, len(free.scales)):
         return None
-    projection = FreeProjection(rows, noise.sections.p, fed, noise.sections)
+    projection = FreeProjection(rows, sections.p, fed, sections)
     experiments = experiments_of(projection, free.channels)
     if experiments is None or projection.deficiency:
         return None
-    problem = Problem(experiments, projection.shown, fed=fed)
-    return problem, InnovationsModel(noise, projection.shared, tuple(projection.own))
+    noise = initial_noise(projection, rows[0].hold.h) if noise is None else noise
+    model = InnovationsModel(noise, projection.shared, tuple(projection.own))
+    return Problem(experiments, projection.shown, fed=fed), model
 
 
 def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, shared: Minimum | None) -> bool:
@@ -360,23 +361,13 @@ def _without(best: Minimum, section: int) -> Minimum:
         noise, sections=Sections.from_coordinates(noise.sections.x[kept]), C=noise.C[:, states], K=noise.K[states],
         references=np.delete(noise.references, section),
     )  # fmt: skip
-    return _followed(*_begun(best, _driven(best, fewer.sections), fewer), steps=_STEPS)
-
-
-def _driven(best: Minimum, sections: Sections) -> FreeProjection:
-    """The data on other sections, all that is driven as in white noise."""
     problem = best.evaluation.problem
     rows = [part for experiment in problem.experiments for part in experiment.rows]
-    return FreeProjection(rows, sections.p, problem.fed, sections)
-
-
-def _begun(best: Minimum, driven: FreeProjection, noise: NoiseSections) -> Start:
-    """The data and a model with what is driven on these sections, and a noise."""
-    problem = best.evaluation.problem
-    return (
+    driven = FreeProjection(rows, fewer.sections.p, problem.fed, fewer.sections)
+    return _followed(
         Problem(problem.experiments, driven.shown, problem.coloured, problem.fed),
-        InnovationsModel(noise, driven.shared, tuple(driven.own)),
-    )
+        InnovationsModel(fewer, driven.shared, tuple(driven.own)), steps=_STEPS,
+    )  # fmt: skip
 
 
 def _followed(*begin: Any, **options: Any) -> Minimum:
@@ -413,19 +404,13 @@ def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> Start 
     sections = Sections.from_coordinates(x)
     if np.any(-sections.p.real < 0.5 * least):
         return None
-    if not _is_feasible(rows, sections, len(free.scales)):
-        return None
-    fed = free.projection.fed
-    projection = FreeProjection(rows, sections.p, fed, sections)
-    experiments = experiments_of(projection, free.channels)
-    if experiments is None or projection.deficiency:
-        return None
-    if np.any(x != known):
-        before = FreeProjection(rows, Sections.from_coordinates(known).p, fed).loss
-        if projection.loss > (1 + 2 * TUNING.sure / _samples(rows)) * before:
+    begin = _beside(free, rows, sections)
+    if begin is not None and np.any(x != known):
+        fed, original = free.projection.fed, Sections.from_coordinates(known)
+        before, after = (FreeProjection(rows, each.p, fed).loss for each in (original, sections))
+        if after > (1 + 2 * TUNING.sure / _samples(rows)) * before:
             return None
-    point = InnovationsModel(initial_noise(projection, rows[0].hold.h), projection.shared, tuple(projection.own))
-    return Problem(experiments, projection.shown, fed=fed), point
+    return begin
 
 
 def _samples(rows: Sequence[FreeRecord]) -> int:
@@ -495,17 +480,21 @@ def _correlations(covariance: Array) -> Array:
     return np.asarray(covariance / np.outer(sizes, sizes))
 
 
-def _hints_at_forces(white: LikelihoodEvaluation) -> bool:
+def _hints_at_forces(foretold: _Predictors, alone: float, white: LikelihoodEvaluation | None) -> bool:
     """Whether one step of the gains, all other numbers moving along, promises some of what the BIC asks for.
 
-    That is not looked at where the residuals about no mode are unlike white noise.
+    That is not looked at where the residuals about no mode are unlike white noise.  Where poles leave no likelihood,
+    whether a predictor is likelier than the fit in noise of each output `alone`.
     """
+    if white is None:
+        unknowns = foretold.free.unknowns + len(foretold.free.scales)
+        return foretold.bic < alone + unknowns * float(np.log(_samples(foretold.rows)))
     problem, noise = white.problem, white.point.noise
     charge = noise.unknowns * float(np.log(problem.samples * white.p))
     if missing_mode(white, _NOTED * charge / max(1, noise.pairs)) is None:
         return False
     ratio = _score(replace_colour(problem, True).at(white.point))
-    return ratio > _HINT * charge and chdtrc(noise.K.size, ratio) < _SCREEN
+    return bool(ratio > _HINT * charge and chdtrc(noise.K.size, ratio) < _SCREEN)
 
 
 def _score(evaluation: LikelihoodEvaluation) -> float:

@@ -77,11 +77,6 @@ class Experiment:
         """Number of samples of each output."""
         return round(self.counts.sum())
 
-    @property
-    def outputs(self) -> Array:
-        """Outputs (p, T)."""
-        return np.asarray(np.fft.irfft(self.Y, self.samples) * np.sqrt(self.samples))
-
     def thinned(self, stride: int) -> Experiment:
         """Every so many of the bins, each for all of them; of outputs alone."""
         counts = self.counts[::stride]

@@ -6,14 +6,13 @@ model that is made of them is stable, and its predictor forgets.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from ..._types import Array, ComplexArray, Mask
+from ..._types import Array, ComplexArray
 from ..regression.sections import Sections
 from ..search.criteria import Orders
 from .noise_sections import NoiseSections
@@ -87,16 +86,16 @@ def _inverse_root(S: Array) -> Array:
 
 
 def in_sections(
-    A: Array, C: Array, K: Array, step: float, among: Callable[[ComplexArray], Mask] = _ANY.among
+    A: Array, C: Array, K: Array, step: float, orders: Orders = _ANY
 ) -> NoiseSections | None:  # fmt: skip
-    """A discrete model in sections, of the poles `among` those there are: by default all that motions in time have.
+    """A discrete model in sections, of those of its poles that orders allow: by default all that motions in time have.
 
     None where two poles are one, or all are left out.
     """
     if not np.isfinite(A).all():
         return None
     values, vectors = np.linalg.eig(A)
-    chosen = among(values)
+    chosen = orders.among(values)
     kept, others = np.flatnonzero(chosen), np.flatnonzero((values.imag >= 0) & ~chosen)
     if not len(kept):
         return None

@@ -101,12 +101,9 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
         search = replace(search, most=foretelling, automatic=False)
     late = of_late_inputs(channels, search) if assumptions.inputs_may_be_late(channels) else None
     begun = in_prevailing_noise(channels, search) if start is None and late is None else None
-    if begun is not None:
-        fit, forced = begun
-        in_noise = _noise_beside(fit, path, search, start)
-    else:
-        fit = _or_likelier(late or search.along(path, channels), path, search, start)
-        in_noise = _noise_beside(fit, path, search, start)
+    fit, forced = begun or (_or_likelier(late or search.along(path, channels), path, search, start), None)
+    in_noise = _noise_beside(fit, path, search, start)
+    if forced is None:
         forced = fit if fit.interrupted else in_noise(fit)
     if forced.interrupted:
         return forced

@@ -87,7 +87,7 @@ def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) ->
         return None
     ranked = likeliest(predictors_of(signals, outputs, _ROWS), samples, orders.states)
     for _, size, predictor in ranked[:_CLOSE]:
-        A, errors = predictor.model(size)[0], predictor.errors()
+        A, errors = predictor.model(size)[0], predictor.errors
         if not np.isfinite(A).all() or errors[0] - errors[size] > _ROUNDING * outputs:
             return None
         values: ComplexArray = np.asarray(np.linalg.eigvals(A), complex)
@@ -104,6 +104,5 @@ def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) ->
         ]
         covariance = sum(each @ each.T for each in residuals) / samples
         gain = float(np.linalg.slogdet(covariance)[1] - errors[size]) / outputs
-        bic = float(ranked[0][0]) + samples * outputs * (1 + float(np.log(2 * np.pi)))
-        return (p, bic) if gain > _PREVAILING else None
+        return (p, ranked[0][0]) if gain > _PREVAILING else None
     return None

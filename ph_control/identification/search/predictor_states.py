@@ -17,7 +17,7 @@ _RANK = 1e-10  # of a variance: what cannot be told from rounding
 _SAMPLES_EACH = 10  # of the records for each sample of the past of each signal
 
 
-def correlations(y: Array, lags: int) -> Array:
+def cross_correlations(y: Array, lags: int) -> Array:
     """Correlations, sums of `y_{t+k} y_t^T` (lags + 1, p, p) of outputs (p, T)."""
     size = next_fast_len(y.shape[1] + lags, real=True)
     Y = rfft(y, size)
@@ -87,6 +87,7 @@ class PredictorStates:
         S = combinations @ self._covariance @ combinations.T
         return np.linalg.cholesky(S + np.diag(_RANK * np.diag(S)))
 
+    @cached_property
     def errors(self) -> Array:
         """Logarithms (r p + 1,) of determinants of the covariances of prediction errors with 0, 1, .. states."""
         p, inputs = self.outputs, self.R.shape[1] - self.outputs
@@ -113,17 +114,21 @@ class PredictorStates:
         return forward[:, :states], coefficients[:, :states], forward[:, len(known) :]
 
 
+def longest_past(signals: Sequence[Array], rows: int) -> int:
+    """Samples of the longest past that records (channels, T) show, with covariances of so many rows at most."""
+    channels, lengths = len(signals[0]), [each.shape[1] for each in signals]
+    return min(rows // channels, min(lengths) // 4, sum(lengths) // (_SAMPLES_EACH * channels))
+
+
 def predictors_of(signals: Sequence[Array], outputs: int, rows: int) -> list[PredictorStates]:
     """Predictors from a long and a shorter past, with covariances of so many rows, of records of outputs and inputs.
 
     Records `signals` (p + m, T) have means of 0; none if they are too short.
     """
-    channels, samples = len(signals[0]), sum(each.shape[1] for each in signals)
-    shortest = min(each.shape[1] for each in signals)
-    longest = min(rows // channels, shortest // 4, samples // (_SAMPLES_EACH * channels))
+    samples, longest = sum(each.shape[1] for each in signals), longest_past(signals, rows)
     if longest < 2:
         return []
-    R = np.asarray(sum(correlations(each, longest) for each in signals)) / samples
+    R = np.asarray(sum(cross_correlations(each, longest) for each in signals)) / samples
     return [PredictorStates(R[: horizon + 1], outputs) for horizon in (longest, max(2, longest // 3))]
 
 
@@ -134,8 +139,8 @@ def likeliest(
     ranked = list[tuple[float, int, PredictorStates]]()
     for each in predictors:
         charge = (len(each.R[0]) + each.outputs) * float(np.log(samples * each.outputs))
-        errors = each.errors()[: most + 1]
-        ranked += [(float(samples * error + size * charge), size, each) for size, error in enumerate(errors) if size]
+        costs = samples * (each.errors[: most + 1] + each.outputs * (1 + np.log(2 * np.pi)))
+        ranked += [(float(cost) + size * charge, size, each) for size, cost in enumerate(costs) if size]
     return sorted(ranked, key=lambda row: row[0])
 
 
