@@ -165,6 +165,14 @@ def test_poles_on_the_axis_and_to_the_right_are_judged(system, passive):
     assert ((report.margin == 0 or passive) and (report.margin >= 0) is passive) or not passive
 
 
+@pytest.mark.parametrize("coupled", [0.0, 3e-16, -3e-16, 1e-15, 1e-12])
+@pytest.mark.parametrize("B", [[[1.0], [1.0]], [[1.0], [0.0]], [[0.7], [-0.3]]])
+def test_a_double_pole_is_no_pole_in_the_right_half_plane(coupled, B):
+    A = np.array([[-1.0, -1.108], [coupled, -1.0]])
+    report = phc.passivity(ct.ss(A, B, np.transpose(B), 1.0))
+    assert not len(report.unstable) and report.is_passive
+
+
 def test_two_ports_may_share_a_pole_on_the_axis():
     A = np.kron(np.eye(2), [[0.0, 1.0], [-4.0, 0.0]])
     B = np.kron(np.eye(2), [[0.0], [1.0]])

@@ -502,13 +502,15 @@ def split_axis(A: Array, B: Array, C: Array) -> Split:
     U, Y = rsf2csf(T, Z)
     found = eigenvalues_of(U)
     right, left = Y @ found.right, Y @ found.left
+    # the bounds of first order are too large for double poles, which rounding moves by its root
+    double = _DOUBLE * np.sqrt(rounding * size)
     values = np.sum(left.conj() * (A @ right), axis=0) / found.overlap
-    values = np.where(np.abs(values - found.values) <= rounding / found.separation, values, found.values)
+    moved = np.abs(values - found.values)
+    values = np.where(moved <= np.minimum(rounding / found.separation, double), values, found.values)
     error = np.sum(np.abs(left) * (noise @ np.abs(right)), axis=0) / found.separation
+    radius = np.minimum(error, double)
     axis: list[tuple[float, ComplexArray]] = []
     off = np.ones(n, bool)
-    # the bound of first order is too large for double poles, which rounding moves by its root
-    radius = np.minimum(error, _DOUBLE * np.sqrt(rounding * size))
     for group in clusters(values, radius):
         real = values.real[group]
         if (np.abs(real) > _CLEAR * radius[group]).all() and len(np.unique(np.sign(real))) == 1:
