@@ -153,6 +153,19 @@ def test_slow_noise_of_a_sensor_is_no_force():
     np.testing.assert_allclose(result.damping_ratios, ZETA, atol=5 * result.stderr["damping_ratios"].max())
 
 
+def test_slow_noise_is_no_force_where_it_makes_poles_grow_in_white_noise():
+    rng, plant = np.random.default_rng(0), phc.frenkel_kontorova(2)
+    t, u = 0.1 * np.arange(1000), rng.standard_normal(1000)
+    y = phc.forced_response(plant, t, u, intersample="zoh").outputs
+    for seed in range(3):
+        slow = lfilter([0.2], [1.0, -0.95], np.random.default_rng(seed).standard_normal(1500))[500:]
+        result = phc.pem((u, y + slow), 2, dt=0.1)
+        assert "FORCES" not in causes(result)
+        errors = result.natural_frequencies - np.sort(np.abs(plant.poles().imag))[::2]
+        assert np.all(np.abs(errors) < 4 * result.stderr["natural_frequencies"])
+        assert phc.residual_analysis((u, y + slow), result).whiteness > 1e-3
+
+
 def test_a_noise_that_is_unknown_is_refused():
     with pytest.raises(phc.StructureError, match="noise is 'wind'; it must be one of 'auto', 'white', 'correlated'"):
         fit_of(record(0, 300), noise="wind")

@@ -159,9 +159,11 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
         return free
-    if not certain and (filters := _own_noise(best.evaluation, white)):
-        return replace(free, own_noise=filters)
-    return _in_noise(free, best, alone, certain)
+    if certain:
+        return _in_noise(free, best, alone, certain)
+    likelier, filters = _own_noise(best.evaluation, white)
+    fitted = free if likelier else _in_noise(free, best, alone, certain)
+    return replace(fitted, own_noise=filters)
 
 
 def _in_shared_noise(
@@ -278,8 +280,8 @@ def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, sh
     return gain > charge + 2 * _SURE and _is_likelier(white, forced.evaluation.cost, more)
 
 
-def _own_noise(best: LikelihoodEvaluation, white: LikelihoodEvaluation | None) -> tuple[Array, ...]:
-    """Innovations filters of autoregressive noise of each output; none where this is less likely by the BIC.
+def _own_noise(best: LikelihoodEvaluation, white: LikelihoodEvaluation | None) -> tuple[bool, tuple[Array, ...]]:
+    """Whether autoregressive noise of each output is likelier by the BIC, and its innovations filters.
 
     It is the noise that a plant fitted in white noise leaves, or one fitted beside forces.
     """
@@ -289,7 +291,7 @@ def _own_noise(best: LikelihoodEvaluation, white: LikelihoodEvaluation | None) -
     cost, filters = min(
         (_autoregressions(each, charge) for each in (white, best) if each is not None), key=lambda pair: pair[0]
     )
-    return filters if cost <= best.cost + unknowns * charge else ()
+    return cost <= best.cost + unknowns * charge, filters
 
 
 def _autoregressions(evaluation: LikelihoodEvaluation, charge: float) -> tuple[float, tuple[Array, ...]]:

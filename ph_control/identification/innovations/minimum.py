@@ -547,7 +547,7 @@ def minimise(
 def _product(first: ComplexArray, second: ComplexArray, counts: Array) -> Array:
     """Sum over bins of Kronecker products of matrices (bins, i, j) and (bins, k, l), real part (i k, j l)."""
     shape = first.shape[1:] + second.shape[1:]
-    left = (first * counts[:, None, None]).reshape(len(first), -1)
-    right = second.reshape(len(second), -1)
-    total = (left.real.T @ right.real - left.imag.T @ right.imag).reshape(shape)
+    rows = (first * counts[:, None, None]).reshape(len(first), -1)
+    columns = second.reshape(len(second), -1)
+    total = (rows.real.T @ columns.real - rows.imag.T @ columns.imag).reshape(shape)
     return np.asarray(total.transpose(0, 2, 1, 3).reshape(shape[0] * shape[2], shape[1] * shape[3]))

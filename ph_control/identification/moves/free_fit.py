@@ -29,7 +29,7 @@ from .gain_noise import in_noise_of_the_gain
 from .late_inputs import of_late_inputs, with_dead_times
 from .long_records import in_changing_noise, of_long
 from .prevailing_noise import in_prevailing_noise
-from .second_searches import from_peaks, in_own_noise, of_few_lines, with_real_poles
+from .second_searches import from_peaks, in_own_noise, likelier_in_own_noise, of_few_lines, with_real_poles
 from .single_lines import without_lines_in_error
 from .window_noise import in_noise_of_the_window, with_first_errors
 
@@ -107,8 +107,10 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
         forced = fit if fit.interrupted else in_noise(fit)
     if forced.interrupted:
         return forced
-    if forced.own_noise and search.automatic and not fit.noise:
+    if forced.beside is None and forced.own_noise and search.automatic and not fit.noise:
         fit = in_own_noise(fit, forced.own_noise, path, search)
+    if forced.beside is not None and forced.beside.is_coloured and (coloured := likelier_in_own_noise(forced, path)):
+        fit = forced = coloured
     # a predictor would foretell more by what is late
     open_delay = assumptions.delay is None and not (begun and forced.beside) and may_be_late(forced)
     in_white_noise = _beside_all_else(fit.with_delay_open(open_delay), search)

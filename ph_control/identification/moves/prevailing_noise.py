@@ -52,7 +52,7 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> tuple[FreeFit,
     forced = fit if fit.interrupted else given.beside(fit, orders=orders)
     if forced.interrupted:
         return fit, forced
-    if forced.own_noise and search.automatic:
+    if forced.beside is None and forced.own_noise and search.automatic:
         path.best = None
         path.whiten(forced.own_noise, path.power)
         coloured = search.along(path, channels, p)

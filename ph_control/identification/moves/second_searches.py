@@ -47,6 +47,14 @@ def in_own_noise(fit: FreeFit, filters: tuple[Array, ...], path: FreePath, searc
     return again if again.interrupted or again.criteria.bic < fit.criteria.bic else fit
 
 
+def likelier_in_own_noise(forced: FreeFit, path: FreePath) -> FreeFit | None:
+    """Fit the modes of a fit beside forces in coloured noise of each output instead; None if that is less likely."""
+    path.whiten(forced.own_noise, path.power)
+    model = path.in_its_noise(path.model(forced.projection.p))
+    coloured = finished(path, model, forced.channels)
+    return coloured if coloured.criteria.bic <= forced.criteria.bic else None
+
+
 def of_few_lines(fit: FreeFit, whole: FreePath, most: int) -> FreeFit:
     """Fit few points of responses at the poles that real shapes of damping that decouples ask for, if likelier.
 

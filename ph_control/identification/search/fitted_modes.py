@@ -75,7 +75,8 @@ class FreeFit(Frozen):
     filters : tuple of ndarray
         Innovations filter of the noise of each output that residuals show afterwards; none where `noise` has it all.
     own_noise : tuple of ndarray
-        Innovations filters of noise of each output that explains more than such noise does, where there is colour.
+        Innovations filters of noise of each output where such noise was looked at: it explains more, or, beside the
+        latter, may do so once the poles are fitted in it.
     """
 
     projection: FreeProjection
