@@ -54,8 +54,16 @@ def test_all_modes_are_found_and_lie_within_their_errors(kind):
 
 
 @pytest.mark.parametrize("kind, structure", [("time", "free"), ("response", "classical"), ("decay", "free")])
-def test_errors_are_as_large_as_the_bound_and_intervals_cover(kind, structure):
+def test_errors_are_as_large_as_the_bound_and_intervals_cover(kind, structure, monkeypatch):
     """24 seeds: a mean of 48 squares of 1 has a standard deviation of 0.2, residues have many more."""
+    pem = phc.pem
+
+    def quick(data, *given, **options):
+        """Most of the time would go into the search for dead times and for noise that grows with the gain."""
+        known = {"weights": np.ones(data.frdata.shape)} if kind == "response" else {"delay": 0.0}
+        return pem(data, *given, **known, **options)
+
+    monkeypatch.setattr(phc, "pem", quick)
     for name, one in study(kind, structure, 24, 300, PLANT).items():
         few = name in ("natural_frequencies", "damping_ratios")
         assert (0.5 if few else 0.7) < one.ratio < (1.6 if few else 1.4), name
