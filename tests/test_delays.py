@@ -150,7 +150,7 @@ def test_the_error_of_a_delay_is_what_it_errs_by():
     delays = 0.05 * np.random.default_rng(0).integers(1, 40, 10)
     z = []
     for seed, delay in enumerate(delays.tolist()):
-        result = fitted(*skewed(100 + seed, (delay,) * 2, samples=900)[:2])
+        result = fitted(*skewed(100 + seed, (delay,) * 2, samples=900)[:2], order=3, noise="white")
         assert result.structure == "classical"
         z.append((result.delay[0] - delay * DT) / result.stderr["delay"][0])
     assert 0.4 < np.mean(np.square(z)) < 1.9
