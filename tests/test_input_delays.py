@@ -63,25 +63,27 @@ def test_dead_times_of_inputs_are_found_with_the_plant(fit):
 
 @pytest.mark.parametrize(("outputs", "colour", "noise"), [(2, 0.0, 0.05), (1, 0.9, 0.3)])
 def test_dead_times_are_common_to_all_outputs_and_stand_beside_coloured_noise(outputs, colour, noise):
-    result = phc.pem(recorded(1, samples=1400, outputs=outputs, colour=colour, noise=noise), dt=DT)
+    result = phc.pem(
+        recorded(1, samples=700 if outputs == 2 else 1400, outputs=outputs, colour=colour, noise=noise), dt=DT
+    )
     np.testing.assert_allclose(result.input_delay, DT * DEAD)
     np.testing.assert_array_equal(result.delay, 0.0)
 
 
 def test_dead_times_are_common_to_all_experiments():
     pairs = [recorded(seed, samples=420) for seed in (2, 3)]
-    result = phc.pem(pairs, dt=[DT, DT])
+    result = phc.pem(pairs, dt=[DT, DT], noise="white")
     np.testing.assert_allclose(result.input_delay, DT * DEAD)
     assert len(result.experiments) == 2 and all(data.fit_percent > 90 for data in result.experiments)
 
 
 def test_dead_times_are_found_beside_a_mode():
     rng = np.random.default_rng(4)
-    u, dead, pole = rng.standard_normal((2, 800)), (5, 0), -0.02 + 0.9j
+    u, dead, pole = rng.standard_normal((2, 500)), (5, 0), -0.02 + 0.9j
     x = ct.forced_response(
         ct.c2d(phc.modes([pole], [[1.0]], [[1.0, 0.6j]]).state_space(), DT), None, late(u, dead)
     ).outputs
-    y = np.atleast_2d(x) + 0.05 * np.std(x) * rng.standard_normal((1, 800))
+    y = np.atleast_2d(x) + 0.05 * np.std(x) * rng.standard_normal((1, 500))
     result = phc.pem((u, y), dt=DT)
     np.testing.assert_allclose(result.input_delay, DT * np.array(dead))
     np.testing.assert_allclose(result.poles, [pole], rtol=0.01)
