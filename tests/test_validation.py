@@ -311,7 +311,8 @@ def test_p_values_of_a_fit_to_its_own_short_record_are_uniform():
             phc.ph(phc.modes([0.7, 2.0], [1.0, 0.5])), 0.3 * np.arange(100), u, intersample="zoh"
         ).outputs
         y = y + 0.1 * rng.standard_normal(100)
-        analysis = residual_analysis((u, y), phc.pem((u, y), order=2, dt=0.3, offset=False), lags=8)
+        fit = phc.pem((u, y), order=2, dt=0.3, offset=False, intersample="zoh", delay=0.0, noise="white")
+        analysis = residual_analysis((u, y), fit, lags=8)
         assert analysis.own_record
         p_values.append(
             [analysis.whiteness, analysis.offset_p_value, analysis.response_p_value, analysis.feedback_p_value]
