@@ -201,18 +201,18 @@ def test_a_pair_closer_than_the_record_resolves_stays_lossless():
     """Free poles of such a pair may lie anywhere near it; the lossless minimum is not judged by where they are."""
     step, rejected = 2 * np.pi / 2000, 0
     plant = phc.ph(phc.modes(1.0 + np.array([0.0, 0.2]) * step, [1.0, 0.5]))
-    for seed in range(8):
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         u, t = rng.standard_normal(2000), np.arange(2000.0)
         y = np.asarray(phc.forced_response(plant, t, u, return_states=False, intersample="zoh").outputs)
         result = phc.pem((u, y + 0.01 * np.std(y) * rng.standard_normal(2000)), dt=1.0)
         (test,) = [each for each in result.tests if each.hypothesis == "lossless"]
         assert result.outcome.name == "CONSISTENT" and test.p > 1e-3, seed
-        # a true structure is rejected once in twenty by chance
+        # a true structure is rejected once in twenty by chance, two of three once in 140
         rejected += result.structure != "lossless"
         if result.structure == "lossless":
             assert np.allclose((result.d - plant.d) / step, 0.0, atol=0.05)
-    assert rejected <= 2
+    assert rejected <= 1
 
 
 @pytest.mark.parametrize("method", ["exact", "midpoint"])

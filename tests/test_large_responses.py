@@ -108,6 +108,6 @@ def test_a_line_with_skin_effect_is_fitted_with_modes_above_the_band():
 
 def test_where_overlapping_modes_end_at_the_largest_order_this_is_said():
     omega = np.linspace(0.05, 25.0, 200)
-    error, result = misfit(lossy_line(omega), omega, max_order=10)
-    assert result.order >= 10 and error > 1e-2
+    error, result = misfit(lossy_line(omega), omega, max_order=5)
+    assert result.order >= 5 and error > 1e-2
     assert any(finding.cause.name == "LARGEST_ORDER" for finding in result.findings)
