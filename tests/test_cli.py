@@ -16,7 +16,7 @@ from pathlib import Path
 import control as ct
 import numpy as np
 import pytest
-from shell import run, streams
+from shell import run, streams, without_pictures
 
 import ph_control as phc
 from ph_control import cli
@@ -254,7 +254,7 @@ def test_robot_arm_goes_through_without_crash_or_flattery(tmp_path):
     arm = DATA / "measured" / "robot_arm.dat"
     if not arm.exists():
         pytest.skip("the third-party recordings are not beside the project")
-    chosen = ("--input", 0, "--output", 1, "--dt", 1, "--structure", "lossless")
+    chosen = ("--input", 0, "--output", 1, "--dt", 1, "--structure", "lossless", "--max-order", 4)
     done = run("fit", arm, *chosen, "--model", tmp_path / "arm.json", "--plot", tmp_path / "arm.png")
     assert (done.status, done.error) == (1, "")
     text = " ".join(done.out.split())
@@ -427,6 +427,7 @@ def test_demo_leaves_recordings_models_and_pictures_and_finds_the_truth(tmp_path
     assert np.allclose(phc.load(folder / "circuit.json").d, [1.0], rtol=1e-3)
     assert np.allclose(phc.load(folder / "chain.json").d, [0.6180339887, 1.6180339887], rtol=1e-3)
     # a second run finds a free folder; a folder with something in it is refused
+    without_pictures(monkeypatch)
     answer = strict_json(run("demo", "--seed", 1, "--json").out)
     assert answer["folder"] == "ph_control_demo-2" and (tmp_path / "ph_control_demo-2" / "chain.json").exists()
     structure, _, chain = answer["plants"]
