@@ -145,9 +145,10 @@ def test_a_failure_among_quick_recordings_is_its_own_only(kind):
     def recordings():
         return (pair(k, 30) if k != 40 else {"no": lambda: None} for k in range(60))
 
-    here = phc.fit_many(recordings(), dt=STEP, **OPTIONS)
+    options = OPTIONS | {"dt": STEP, "intersample": "zoh", "delay": 0.0, "noise": "white", "offset": False}
+    here = phc.fit_many(recordings(), **options)
     with ThreadPoolExecutor(2) if kind == "threads" else nullcontext(2) as given:
-        there = phc.fit_many(recordings(), workers=given, dt=STEP, **OPTIONS)
+        there = phc.fit_many(recordings(), workers=given, **options)
     assert there.failures["recording"].tolist() == here.failures["recording"].tolist() == [40]
     well = here.table["order"] >= 0
     assert there.table["hertz"][well].tobytes() == here.table["hertz"][well].tobytes()
