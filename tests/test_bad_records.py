@@ -112,7 +112,8 @@ LAST, RAMP = np.eye(1, 300, 299)[0], TIME.copy()
     "u, options",
     [
         (LAST, {}), (LAST, {"offset": True}), (LAST, {"initial_state": "zero"}), (LAST, {"method": "midpoint"}),
-        (np.sin(2.0 * TIME), {"representation": "controllable", "noise": "white"}), (np.sin(0.5 * TIME), {}),
+        (np.sin(2.0 * TIME), {"representation": "controllable", "noise": "white", "delay": 0.0}),
+        (np.sin(0.5 * TIME), {"delay": 0.0}),
         (RAMP, {"offset": True}), (RAMP, {"offset": True, "quantity": "acceleration"}),
         (RAMP, {"offset": True, "representation": "controllable"}),
     ],
