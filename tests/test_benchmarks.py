@@ -5,6 +5,7 @@ give its derivatives (a step of 1e-30 along the imaginary axis) without cancella
 """
 
 import dataclasses
+import functools
 import json
 import sys
 from types import SimpleNamespace
@@ -354,6 +355,7 @@ def test_the_table_gives_medians_and_ratios_to_our_row(capsys, tmp_path):
     assert ratios[0] > 10 and ratios[1] > 5
 
 
+@pytest.mark.xdist_group("compiled")  # once, in one process
 @pytest.mark.parametrize("parameters", methods.COORDINATES)
 @pytest.mark.parametrize("optimizer, rate", [("plain", 1e-3), ("adam", 0.05)])
 def test_the_descent_to_be_compiled_takes_the_steps_of_the_library(parameters, optimizer, rate):
@@ -361,6 +363,7 @@ def test_the_descent_to_be_compiled_takes_the_steps_of_the_library(parameters, o
     assert methods.disagreement(recording, parameters, optimizer, rate, 25) <= 1e5 * EPS
 
 
+@pytest.mark.xdist_group("compiled")
 def test_another_rate_of_the_descent_is_another_descent(monkeypatch):
     recording, _, _ = peers.recording_of(peers.Case("euler", 3, 100, 20.0), 0)
     library = phc.gradient_descent
@@ -370,6 +373,7 @@ def test_another_rate_of_the_descent_is_another_descent(monkeypatch):
     assert methods.disagreement(recording, "unique", "adam", 0.0201, 5) > 1e-6
 
 
+@pytest.mark.xdist_group("compiled")
 def test_the_paper_scheme_keeps_its_best_point_and_predicts_by_eulers_rule(monkeypatch):
     monkeypatch.setattr(methods, "EPOCHS", 30)
     recording, new, _ = peers.recording_of(peers.Case("euler", 3, 200, 20.0), 0)
@@ -452,7 +456,8 @@ def test_a_run_replaces_only_the_one_on_the_page(tmp_path):
     assert path.read_text() == f"{end} {begin}"
 
 
-def test_the_report_writes_what_it_prints(capsys, tmp_path):
+def test_the_report_writes_what_it_prints(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(report, "race", functools.partial(report.race, rounds=1))
     path, pictures = tmp_path / "page.md", tmp_path / "pictures"
     path.write_text("".join(page.marks("the run")))
     assert report.main(f"--tasks zeros --largest 50 --pictures {pictures} --write {path}".split()) == 0
@@ -570,8 +575,8 @@ def test_a_method_without_its_package_is_listed(monkeypatch):
     assert sum("not installed" in line for line in lines) == 12
 
 
-def told(file):
-    (case,) = [one for one in measured.CASES if one.file == file]
+def told(file, **changes):
+    (case,) = [dataclasses.replace(one, **changes) for one in measured.CASES if one.file == file]
     if not (measured.DATA / file).exists():
         pytest.skip(f"{file} is not in {measured.DATA}")
     return list(measured.study(case, ["none"]))
@@ -586,11 +591,13 @@ def test_modes_of_measured_receptances_stand_beside_those_of_peers():
 
 
 def test_the_second_half_of_the_robot_arm_is_predicted_as_the_first_was_fitted():
-    lines = told("robot_arm.dat")
+    # the arm has two modes; a search for more of them takes long
+    known = {"quantity": "acceleration", "max_order": 3}
+    lines = told("robot_arm.dat", known=known, orders=(2, 3))
     (share,) = [line for line in lines if "fit over that of" in line]
     assert float(share.split("chosen ")[1].split()[0]) >= 95
     rows = [line for line in lines if "states" in line]
-    assert len(rows) == 4 and all(float(row.split()[-3]) > 95 for row in rows)
+    assert len(rows) == 3 and all(float(row.split()[-3]) > 95 for row in rows)
 
 
 def test_measured_data_that_are_not_there_are_skipped(monkeypatch, tmp_path):
