@@ -229,14 +229,14 @@ def test_choices_are_those_of_the_library(keyword):
 
 def test_a_refusal_is_status_1_and_the_model_is_written_all_the_same(damped, tmp_path):
     model = tmp_path / "model.json"
-    done = run("fit", damped, "--structure", "lossless", "--max-order", 4, "--model", model)
+    done = run("fit", damped, "--structure", "lossless", "--max-order", 2, "--model", model)
     assert done.status == 1 and done.error == ""
     assert "NOT described by a model of this structure" in done.out and f"Written: {model}" in done.out
     assert isinstance(phc.load(model), phc.PortHamiltonian)
-    piped = run("fit", damped, "--structure", "lossless", "--max-order", 4, "--model", "-")
+    piped = run("fit", damped, "--structure", "lossless", "--max-order", 2, "--model", "-")
     assert piped.status == 1 and piped.output == model.read_bytes()
     assert piped.error.startswith("ph-control: the verdict is: NOT described") and piped.error.count("\n") == 1
-    answer = strict_json(run("fit", damped, "--structure", "lossless", "--max-order", 4, "--json").out)
+    answer = strict_json(run("fit", damped, "--structure", "lossless", "--max-order", 2, "--json").out)
     assert answer["described"] is False
 
 
