@@ -80,7 +80,7 @@ def test_forces_are_named_with_their_share_and_add_no_modes(forced):
 @pytest.mark.parametrize("size", [{"forces": 0.03}, {"forces": 0.3}, {"inputs": 0.05}])
 def test_modes_lie_within_their_intervals(size):
     z = []
-    for seed in range(4):
+    for seed in range(2):
         result = fit_of(record(seed + 10, **size))
         assert result.order == 3 and not len(result.real_poles)
         z += [(result.natural_frequencies - W) / result.stderr["natural_frequencies"]]
@@ -103,7 +103,7 @@ def test_a_given_number_of_modes_is_kept_beside_forces():
 
 
 def test_white_noise_names_nothing_and_the_fit_is_that_of_white_noise():
-    for seed in range(4):
+    for seed in range(2):
         data = record(seed + 30)
         result, white = fit_of(data), fit_of(data, noise="white")
         assert not causes(result) & {"FORCES", "CORRELATED_NOISE"}
