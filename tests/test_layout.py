@@ -6,6 +6,7 @@ The page on the architecture and its picture show the folders as they are.
 from __future__ import annotations
 
 import ast
+import functools
 import re
 import runpy
 from pathlib import Path
@@ -51,6 +52,12 @@ INTERNALS = {
 }  # fmt: skip
 
 
+@functools.cache
+def _tree(file: Path) -> ast.Module:
+    """Syntax of a file, read once for all tests."""
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
 def imports(package: Path) -> list[tuple[str, str, str]]:
     """`(module, imported module, function around the import)` of every import inside a package."""
     known = {_name(file, package) for file in package.rglob("*.py")}
@@ -58,7 +65,7 @@ def imports(package: Path) -> list[tuple[str, str, str]]:
     for file in sorted(package.rglob("*.py")):
         name = _name(file, package)
         inside = name.split(".") if file.stem == "__init__" and name else name.split(".")[:-1]
-        for node, around in _imports(ast.parse(file.read_text(encoding="utf-8"))):
+        for node, around in _imports(_tree(file)):
             found += [(name, target, around) for target in _targets(node, inside, package.name, known)]
     return found
 
@@ -137,7 +144,7 @@ def test_a_folder_has_few_files():
 
 
 def test_no_two_classes_have_one_name():
-    trees = [ast.parse(file.read_text(encoding="utf-8")) for file in PACKAGE.rglob("*.py")]
+    trees = [_tree(file) for file in PACKAGE.rglob("*.py")]
     names = [node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
     assert sorted(set(names)) == sorted(names)
 
@@ -146,7 +153,7 @@ def test_every_folder_is_in_the_order_and_says_what_is_inside():
     for file in PACKAGE.rglob("__init__.py"):
         name = _name(file, PACKAGE)
         assert name == "identification" or (folder(name) in ORDER and (not name or folder(name))), name
-        assert ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))), name
+        assert ast.get_docstring(_tree(file)), name
 
 
 def test_the_page_on_the_architecture_names_every_folder_and_no_other():
