@@ -1,5 +1,6 @@
 """Records that show little or nothing, and fits that are cut short: an answer or a refusal, never less."""
 
+import functools
 import inspect
 import sys
 from pathlib import Path
@@ -42,16 +43,29 @@ def interrupted_at(call, function):
         sys.setprofile(None)
 
 
+@functools.cache
+def uncut(function):
+    """The answer of a function that nothing interrupts, and the calls there are."""
+    return interrupted_at(0, function)
+
+
+def contradicted():
+    """Judging takes most of the calls: damping contradicts the model."""
+    return phc.pem((INPUT, answer(INPUT) * np.exp(-0.02 * TIME)), 2, dt=0.1, structure="lossless")
+
+
+def of_two_inputs(structure):
+    data = np.stack([INPUT, INPUT[::-1]]), np.stack([answer(INPUT), answer(INPUT[::-1])])
+    return phc.pem(data, 2, dt=0.1, structure=structure, intersample="zoh")
+
+
+DAMPED = {structure: functools.partial(of_two_inputs, structure) for structure in ("auto", "classical")}
+
+
 @pytest.mark.parametrize("part", [0.5, 0.73, 0.9, 0.99])
 def test_an_interruption_of_the_judgement_keeps_the_fit(part):
-    # judging takes most of the calls: damping contradicts the model
-    data = INPUT, answer(INPUT) * np.exp(-0.02 * TIME)
-
-    def fit():
-        return phc.pem(data, 2, dt=0.1, structure="lossless")
-
-    whole, calls = interrupted_at(0, fit)
-    cut, _ = interrupted_at(int(part * calls), fit)
+    whole, calls = uncut(contradicted)
+    cut, _ = interrupted_at(int(part * calls), contradicted)
     assert not cut.success and cut.outcome.name == "INTERRUPTED" and "interrupted" in cut.summary()
     assert cut.order == 2 and np.isfinite(cut.loss) and whole.success
 
@@ -61,12 +75,8 @@ def test_an_interruption_of_the_judgement_keeps_the_fit(part):
     [(0.3, "auto"), (0.6, "classical"), (0.8, "auto"), (0.9, "classical"), (0.95, "auto"), (0.99, "classical")],
 )
 def test_an_interruption_of_a_damped_fit_keeps_the_modes(part, structure):
-    data = np.stack([INPUT, INPUT[::-1]]), np.stack([answer(INPUT), answer(INPUT[::-1])])
-
-    def fit():
-        return phc.pem(data, 2, dt=0.1, structure=structure, intersample="zoh")
-
-    whole, calls = interrupted_at(0, fit)
+    fit = DAMPED[structure]
+    whole, calls = uncut(fit)
     cut, _ = interrupted_at(int(part * calls), fit)
     assert not cut.success and cut.outcome.name == "INTERRUPTED" and "interrupted" in cut.summary()
     assert 1 <= cut.order <= 2 and np.isfinite(cut.loglik) and whole.success

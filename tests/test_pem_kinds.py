@@ -486,7 +486,7 @@ y += 0.1 * rng.standard_normal(samples)
 del u, y, t
 tracemalloc.start()
 u, y = (np.load(f"{folder}/{name}.npy", mmap_mode="r") for name in "uy")
-result = phc.pem((u, y), 10, dt=0.1, intersample="zoh", delay=0.0)
+result = phc.pem((u, y), 10, dt=0.1)
 assert np.abs(result.d - d).max() < 1e-3, result.d
 print(tracemalloc.get_traced_memory()[1])
 """
