@@ -7,7 +7,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import lfilter
 
 import ph_control as phc
-from ph_control.identification.search.predictor_states import PredictorStates
+from ph_control.identification.search.predictor_states import PredictorStates, products_of_past
 
 STEP = 1.0
 
@@ -41,7 +41,10 @@ def exact_correlations(model, lags):
 def test_exact_correlations_give_back_the_innovations_form(seed, n, p, m):
     model = innovations_form(np.random.default_rng(seed), n, p, m)
     A, _, C, _, K, S = model
-    predictor = PredictorStates(exact_correlations(model, 80), p)
+    R = exact_correlations(model, 80)
+    lags = [*R[:0:-1].transpose(0, 2, 1), *R]
+    products = np.block([[lags[80 + j - i] for j in range(81)] for i in range(81)])
+    predictor = PredictorStates(products, p, m)
     # with fewer states errors are larger, and with more no smaller
     errors = predictor.errors
     np.testing.assert_allclose(errors[n:], np.linalg.slogdet(S)[1], atol=1e-6)
@@ -53,6 +56,17 @@ def test_exact_correlations_give_back_the_innovations_form(seed, n, p, m):
         expected = C @ np.linalg.matrix_power(A, k) @ K
         now = estimated_C @ np.linalg.matrix_power(estimated_A, k) @ estimated_K
         np.testing.assert_allclose(now, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("lengths, horizon", [([30], 3), ([25, 40], 5), ([12], 1)])
+def test_products_of_the_past_are_those_of_all_samples_that_have_one(lengths, horizon):
+    rng = np.random.default_rng(0)
+    records = [rng.standard_normal((3, T)) + 1.0 for T in lengths]
+    pasts = [
+        np.concatenate([x[:, horizon - lag : x.shape[1] - lag] for lag in range(horizon + 1)]) for x in records
+    ]  # fmt: skip
+    expected = sum(past @ past.T for past in pasts) / sum(past.shape[1] for past in pasts)
+    np.testing.assert_allclose(products_of_past(records, horizon), expected, atol=1e-12 * np.abs(expected).max())
 
 
 def frame(shapes, w=(0.5, 1.1, 1.7), zeta=(0.01, 0.012, 0.009)):

@@ -24,6 +24,40 @@ def cross_correlations(y: Array, lags: int) -> Array:
     return np.stack([irfft(Y[i] * Y.conj(), size)[:, : lags + 1].T for i in range(len(y))], axis=1)
 
 
+def products_of_past(signals: Sequence[Array], horizon: int) -> Array:
+    """Means of products of all signals from a sample to `horizon` samples before, over samples with that past.
+
+    Parameters
+    ----------
+    signals : sequence of ndarray, shape (q, T)
+        Records.
+    horizon : int
+        Samples r of the past.
+
+    Returns
+    -------
+    ndarray, shape ((r + 1) q, (r + 1) q)
+        In blocks of all signals at one sample, the latest first: correlations less what the ends of records are short
+        of.  O(T log T + r^2 q^2).
+    """
+    q, count = len(signals[0]), horizon + 1
+    S = np.zeros((count, q, count, q))
+    for x in signals:
+        R, T = cross_correlations(x, horizon), x.shape[1]
+        for k in range(count):
+            # products at lag k, summed from the first sample on, and from the last one back
+            head = np.einsum("as,bs->sab", x[:, k:horizon], x[:, : horizon - k])
+            tail = np.einsum("as,bs->sab", x[:, T - horizon + k :], x[:, T - horizon : T - k])[::-1]
+            none = np.zeros((1, q, q))
+            head, tail = (np.concatenate([none, np.cumsum(part, axis=0)]) for part in (head, tail))
+            i = np.arange(count - k)
+            blocks = R[k] - head[horizon - k - i] - tail[i]
+            S[i, :, i + k] += blocks
+            if k:
+                S[i + k, :, i] += blocks.transpose(0, 2, 1)
+    return S.reshape(count * q, count * q) / sum(x.shape[1] - horizon for x in signals)
+
+
 @dataclass(frozen=True, eq=False)
 class PredictorStates:
     """States of a predictor of outputs from what outputs and inputs were in the r samples before.
@@ -35,19 +69,25 @@ class PredictorStates:
 
     Attributes
     ----------
-    R : ndarray, shape (r + 1, p + m, p + m)
-        Correlations `y, u` at lags of 0 to r samples, means of products.
-    outputs : int
-        Number p of outputs.
+    products : ndarray, shape ((r + 1) (p + m), (r + 1) (p + m))
+        Means of products of `((y, u)_t, (y, u)_{t-1}, .., (y, u)_{t-r})`.
+    outputs, inputs : int
+        Numbers p and m.
     """
 
-    R: Array
+    products: Array
     outputs: int
+    inputs: int
+
+    @property
+    def signals(self) -> int:
+        """Number of outputs and inputs."""
+        return self.outputs + self.inputs
 
     @property
     def horizon(self) -> int:
         """Number r of samples of the past."""
-        return len(self.R) - 1
+        return len(self.products) // self.signals - 1
 
     @property
     def largest(self) -> int:
@@ -56,16 +96,16 @@ class PredictorStates:
 
     @cached_property
     def _covariance(self) -> Array:
-        """Covariance of `((y, u)_t, (y, u)_{t-1}, .., (y, u)_{t-r})`."""
-        lags = [R.T for R in self.R[:0:-1]] + list(self.R)
-        count = self.horizon + 1
-        S = np.block([[lags[self.horizon + j - i] for j in range(count)] for i in range(count)])
-        return np.asarray(S + np.diag(_RANK * np.maximum(np.diag(S), np.finfo(float).tiny)))
+        """The products, with what keeps them definite."""
+        # of the largest power of each signal: some are 0 but at the first samples
+        power = np.diag(self.products).reshape(-1, self.signals).max(axis=0)
+        ridge = _RANK * np.maximum(power, np.finfo(float).tiny)
+        return np.asarray(self.products + np.diag(np.tile(ridge, self.horizon + 1)))
 
     @cached_property
     def _states(self) -> Array:
         """Combinations (r p, (r + 1) (p + m)) of signals, none of the present ones, of variance 1: strongest first."""
-        S, p, q, r = self._covariance, self.outputs, self.R.shape[1], self.horizon
+        S, p, q, r = self._covariance, self.outputs, self.signals, self.horizon
         known = np.arange(p, len(S))
         coefficients = cho_solve(cho_factor(S[np.ix_(known, known)]), S[known, :p]).T
         innovations = S[:p, :p] - coefficients @ S[known, :p]
@@ -81,7 +121,7 @@ class PredictorStates:
     @cached_property
     def _root(self) -> Array:
         """Triangular root of the covariance of inputs, states and outputs, in this order."""
-        p, q = self.outputs, self.R.shape[1]
+        p, q = self.outputs, self.signals
         signals = np.eye(q, len(self._covariance))
         combinations = np.concatenate([signals[p:], self._states, signals[:p]])
         S = combinations @ self._covariance @ combinations.T
@@ -90,13 +130,24 @@ class PredictorStates:
     @cached_property
     def errors(self) -> Array:
         """Logarithms (r p + 1,) of determinants of the covariances of prediction errors with 0, 1, .. states."""
-        p, inputs = self.outputs, self.R.shape[1] - self.outputs
+        p, inputs = self.outputs, self.inputs
         rows = self._root[-p:]
         error, logarithms = rows[:, -p:] @ rows[:, -p:].T, []
         for column in rows[:, inputs:-p].T[::-1]:
             logarithms.append(np.linalg.slogdet(error)[1])
             error = error + np.outer(column, column)
         return np.array([*logarithms, np.linalg.slogdet(error)[1]][::-1])
+
+    def gain_of_present_inputs(self, states: int) -> float:
+        """Return by how much present inputs lower the logarithm of the determinant of errors, beside so many states."""
+        p, signals = self.outputs, np.eye(self.signals, len(self._covariance))
+        determinants = []
+        for inputs in (signals[p:p], signals[p:]):
+            known = np.concatenate([self._states[:states], inputs, signals[:p]])
+            S = known @ self._covariance @ known.T
+            root = np.linalg.cholesky(S + np.diag(_RANK * np.diag(S)))[-p:, -p:]
+            determinants.append(2 * float(np.sum(np.log(np.diag(root)))))
+        return determinants[0] - determinants[1]
 
     def _regressed(self, combinations: Array, of: Array) -> Array:
         """Coefficients of some combinations of signals in `combinations` of others."""
@@ -105,7 +156,7 @@ class PredictorStates:
 
     def model(self, states: int) -> tuple[Array, Array, Array]:
         """Matrices A, C and gain K of a model with so many states."""
-        p, q = self.outputs, self.R.shape[1]
+        p, q = self.outputs, self.signals
         signals = np.eye(q, len(self._covariance))
         known = np.concatenate([self._states[:states], signals[p:]])
         coefficients = self._regressed(signals[:p], known)
@@ -125,11 +176,11 @@ def predictors_of(signals: Sequence[Array], outputs: int, rows: int) -> list[Pre
 
     Records `signals` (p + m, T) have means of 0; none if they are too short.
     """
-    samples, longest = sum(each.shape[1] for each in signals), longest_past(signals, rows)
+    longest, inputs = longest_past(signals, rows), len(signals[0]) - outputs
     if longest < 2:
         return []
-    R = np.asarray(sum(cross_correlations(each, longest) for each in signals)) / samples
-    return [PredictorStates(R[: horizon + 1], outputs) for horizon in (longest, max(2, longest // 3))]
+    pasts = longest, max(2, longest // 3)
+    return [PredictorStates(products_of_past(signals, horizon), outputs, inputs) for horizon in pasts]
 
 
 def likeliest(
@@ -138,7 +189,7 @@ def likeliest(
     """Numbers of states, up to the `most`, with their predictors: those of the smallest BIC first, with its value."""
     ranked = list[tuple[float, int, PredictorStates]]()
     for each in predictors:
-        charge = (len(each.R[0]) + each.outputs) * float(np.log(samples * each.outputs))
+        charge = (each.signals + each.outputs) * float(np.log(samples * each.outputs))
         costs = samples * (each.errors[: most + 1] + each.outputs * (1 + np.log(2 * np.pi)))
         ranked += [(float(cost) + size * charge, size, each) for size, cost in enumerate(costs) if size]
     return sorted(ranked, key=lambda row: row[0])
