@@ -27,9 +27,12 @@ _SETTLED = 1e-6  # relative change of the likelihood, over the samples
 
 
 def end_of_search(
-    path: FreePath, start: ComplexArray, most: int, automatic: bool, channels: Sequence[Any], *, either_hold: bool
-) -> FreeFit:
+    path: FreePath, start: ComplexArray, most: int, automatic: bool, channels: Sequence[Any], *, either_hold: bool,
+    refined: bool = True,
+) -> FreeFit:  # fmt: skip
     """Search, if no model is known, and return the last minimum, with what makes that under the other hold.
+
+    Poles of a known model stay where they are if they are not to be `refined`.
 
     Residues and a feedthrough of one hold say what others say of the other.  So free models tell the two apart only
     where something is fed through: then the likelier comes first.  Of a search that is interrupted the best so far,
@@ -42,10 +45,10 @@ def end_of_search(
             beside = beside_further_terms(path, most, automatic)
             if beside is not None:
                 return end_of_search(beside, start, most, automatic, channels, either_hold=either_hold)
-        fit = finished(path, path.best, channels, automatic)
+        fit = finished(path, path.best, channels, automatic, refined=refined)
         if not (either_hold and isinstance(path.plain, Records) and fit.states and fit.projection.inputs):
             return fit
-        held_otherwise = cache(partial(_held_otherwise, path, fit, path.best, path.plain, channels, automatic))
+        held_otherwise = cache(partial(_held_otherwise, path, fit, path.best, path.plain, channels, automatic, refined))
         fit = replace(fit, held_otherwise=held_otherwise)
         if fit.projection.fed is not None and not fit.projection.fed.any():
             return fit
@@ -62,27 +65,30 @@ def end_of_search(
 
 
 def _held_otherwise(
-    path: FreePath, fit: FreeFit, model: FreeModel, plain: Records, channels: Sequence[Any], automatic: bool
-) -> FreeFit:
-    """Refine a fit with the inputs held otherwise."""
+    path: FreePath, fit: FreeFit, model: FreeModel, plain: Records, channels: Sequence[Any], automatic: bool,
+    refined: bool,
+) -> FreeFit:  # fmt: skip
+    """Fit with the inputs held otherwise, from the poles of a fit."""
     kept = replace(model, projection=fit.projection)
     other = plain.held("foh" if fit.intersample == "zoh" else "zoh")
-    again = finished(path.elsewhere(other, kept, fit.noise), kept, channels, automatic)
+    again = finished(path.elsewhere(other, kept, fit.noise), kept, channels, automatic, refined=refined)
     return replace(again, order_table=fit.order_table)
 
 
 def finished(
-    path: FreePath, model: FreeModel, channels: Sequence[Any], automatic: bool = False, interrupted: bool = False
-) -> FreeFit:
+    path: FreePath, model: FreeModel, channels: Sequence[Any], automatic: bool = False, interrupted: bool = False,
+    refined: bool = True,
+) -> FreeFit:  # fmt: skip
     """Find the last minimum of a model; what is fed through only where it stands out, or has to be.
 
-    Of an `automatic` order without modes that only the bins about them asked for.  Who interrupts wants an end:
-    then the poles stay as they are.
+    Of an `automatic` order without modes that only the bins about them asked for.  Poles stay as they are if they are
+    not to be `refined`, or after an interruption: who interrupts wants an end.
     """
     path.whiten(model.innovations, model.losses)
     # the exact minimum is that of what remains; real and broad poles that are one too many are told at the minimum
     enough = EXACT if automatic and np.any((model.p.imag == 0) | are_broad(model.p)) else _DECIDED / path.counts.sum()
-    near = None if interrupted else float(enough)
+    refined = refined and not interrupted
+    near = float(enough) if refined else None
     projection, losses = settled(path, model.p, None, near)
     while automatic and (weakest := needless_mode(path, projection)) is not None:
         projection, losses = settled(path, np.delete(projection.p, weakest), None, near)
@@ -92,10 +98,10 @@ def finished(
         if not fed.all():
             projection, losses = settled(path, projection.p, fed, near, projection)
     # noise of slow colour hides a constant that is still the level of the output
-    if path.options.constant_open and not (interrupted or model.innovations):
+    if path.options.constant_open and refined and not model.innovations:
         projection, losses = _without_needless_constants(path, projection, losses, fed, near)
     projection, losses = on_simplest_background(path, projection, losses, fed, near)
-    if not interrupted:
+    if refined:
         projection, losses = settled(path, projection.p, fed, EXACT, projection)
     projection = projection.ascending()
     unknowns = path.unknowns_of(projection.p) - (0 if fed is None else int(np.sum(~fed)))

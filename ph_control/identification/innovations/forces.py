@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, Mask
 from ..data.channels import Recording
 from ..regression.free import FreeProjection
 from ..regression.sections import Sections
@@ -43,6 +43,7 @@ _SPARE = 4  # samples of all outputs for each unknown
 _LEAST_DECAY = 0.05  # bins: noise through a pole that decays more slowly never settles
 _STEPS = 40
 _SINGULAR = 1e-3  # smallest eigenvalue of the correlations: outputs so nearly alike leave no covariance to weigh by
+_FAR = 0.1  # logarithm of the ratio of variances for each output, by which noise of outputs is hopeless
 _LONGEST_PAST = 64  # samples that noise of an output may depend on
 _ROUGH, _FEW = 1.0, 12  # tolerance and steps of a minimisation on the way
 _ROWS = 300  # of a covariance of the past of outputs and inputs
@@ -237,30 +238,37 @@ class _Predictors:
             noise = in_sections(*predictor.model(size), rows[0].hold.h, self.orders)
             if noise is None or not self.orders.admit(noise.sections.p):
                 continue
-            start = _beside(self.free, rows, noise.sections, noise)
+            start = _beside(self.free, rows, noise.sections, noise, self._fed(size, predictor))
             starts += [] if start is None else [start]
             if len(starts) == _CLOSE:
                 break
         return starts
 
+    def _fed(self, states: int, predictor: PredictorStates) -> Mask | None:
+        """What is fed through beside states: all, where present inputs foretell more than chance, or as was fitted."""
+        samples, outputs = _samples(self.rows), len(self.free.scales)
+        charge = outputs * predictor.inputs * float(np.log(samples)) + 2 * TUNING.sure
+        fed = samples / outputs * predictor.gain_of_present_inputs(states) > charge
+        return None if fed else self.free.projection.fed
+
 
 def _beside(
-    free: FreeFit, rows: Sequence[FreeRecord], sections: Sections, noise: NoiseSections | None = None
+    free: FreeFit, rows: Sequence[FreeRecord], sections: Sections, noise: NoiseSections | None, fed: Mask | None
 ) -> Start | None:
-    """The data and a model with some sections: what is driven as in white noise, and a noise, by default no forces.
+    """The data and a model with some sections: what is driven as in white noise, and a noise, or no forces.
 
     None where the likelihood would take too long.
     """
-    fed = free.projection.fed
     if not _is_feasible(rows, sections, len(free.scales)):
         return None
     projection = FreeProjection(rows, sections.p, fed, sections)
     experiments = experiments_of(projection, free.channels)
     if experiments is None or projection.deficiency:
         return None
-    noise = initial_noise(projection, rows[0].hold.h) if noise is None else noise
-    model = InnovationsModel(noise, projection.shared, tuple(projection.own))
-    return Problem(experiments, projection.shown, fed=fed), model
+    problem = Problem(experiments, projection.shown, fed=fed)
+    begun = initial_noise(projection, rows[0].hold.h) if noise is None else noise
+    model = InnovationsModel(begun, projection.shared, tuple(projection.own))
+    return problem, model if noise is None else problem.driven_best(model)
 
 
 def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, shared: Minimum | None) -> bool:
@@ -283,7 +291,8 @@ def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, sh
 def _own_noise(best: LikelihoodEvaluation, white: LikelihoodEvaluation | None) -> tuple[bool, tuple[Array, ...]]:
     """Whether autoregressive noise of each output is likelier by the BIC, and its innovations filters.
 
-    It is the noise that a plant fitted in white noise leaves, or one fitted beside forces.
+    It is the noise that a plant fitted in white noise leaves, or one fitted beside forces.  No filters where it is so
+    much less likely that other poles make no difference.
     """
     problem, noise, p = best.problem, best.point.noise, best.p
     charge = float(np.log(problem.samples * p))
@@ -291,7 +300,8 @@ def _own_noise(best: LikelihoodEvaluation, white: LikelihoodEvaluation | None) -
     cost, filters = min(
         (_autoregressions(each, charge) for each in (white, best) if each is not None), key=lambda pair: pair[0]
     )
-    return cost <= best.cost + unknowns * charge, filters
+    excess = cost - best.cost - unknowns * charge
+    return excess <= 0, filters if excess <= _FAR * problem.samples * p else ()
 
 
 def _autoregressions(evaluation: LikelihoodEvaluation, charge: float) -> tuple[float, tuple[Array, ...]]:
@@ -406,7 +416,7 @@ def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> Start 
     sections = Sections.from_coordinates(x)
     if np.any(-sections.p.real < 0.5 * least):
         return None
-    begin = _beside(free, rows, sections)
+    begin = _beside(free, rows, sections, None, free.projection.fed)
     if begin is not None and np.any(x != known):
         fed, original = free.projection.fed, Sections.from_coordinates(known)
         before, after = (FreeProjection(rows, each.p, fed).loss for each in (original, sections))
@@ -528,7 +538,7 @@ def _in_noise(free: FreeFit, best: Minimum, alone: float, certain: bool) -> Free
     if np.linalg.eigvalsh(noise.correlations).min() < _SINGULAR:
         return free
     known = free.projection if free.measured is None else free.measured
-    projection = FreeProjection(known.experiments, point.poles, known.fed, point.noise.sections)
+    projection = FreeProjection(known.experiments, point.poles, evaluation.problem.fed, point.noise.sections)
     unknowns = projection.unknowns + noise.unknowns
     joint = JointProjection.of(projection, point.shared, Quadratic.of(best), unknowns)
     loglik = -0.5 * evaluation.cost - samples * float(np.sum(np.log(free.scales)))

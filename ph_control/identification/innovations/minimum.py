@@ -28,6 +28,7 @@ from .noise_sections import NoiseSections
 _AT_A_TIME = 1 << 22  # numbers of a Jacobian
 _BINS = 1 << 13  # of an experiment that the information is made of
 _IN_WIDTH = 4.0  # of these at least lie within the half-power width of each mode
+_ROUNDS = 3  # of linear numbers and the covariance in turn
 _STEPS = 60
 _APART = 1e-4  # of their distance from 0: so near to one another poles of a section come
 _GROWTH, _LARGEST_DAMPING = 4.0, 1e8
@@ -183,6 +184,20 @@ class Problem:
         own = tuple(take(part.shape) for part in like.own)
         states = tuple(take(part.shape) for part in like.states)
         return InnovationsModel(noise.moved(sections, C, K), shared, own, states)
+
+    def driven_best(self, point: InnovationsModel) -> InnovationsModel:
+        """The model whose numbers beside poles and noise are best in this noise: errors are linear in them."""
+        best = evaluation = self.at(point)
+        first = len(point.noise.sections.x) + (2 * point.noise.C.size if self.coloured else 0)
+        for _ in range(_ROUNDS):  # with the covariance that belongs to them
+            if not np.isfinite(evaluation.cost):
+                break
+            gram, gradient, lengths = evaluation.scaled_normal()
+            step = np.zeros(len(gradient))
+            step[first:] = -np.linalg.pinv(gram[first:, first:], rcond=1e-12, hermitian=True) @ gradient[first:]
+            evaluation = self.at(self.point(self.vector(evaluation.point) + step / lengths, evaluation.point))
+            best = evaluation if evaluation.cost < best.cost else best
+        return best.point
 
 
 class LikelihoodEvaluation:

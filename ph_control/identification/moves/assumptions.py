@@ -151,7 +151,7 @@ class Search:
         return end_of_search(path, begin, self.most, self.automatic, channels, either_hold=self.held is None)
 
     def from_poles(self, path: FreePath, channels: Experiments, p: ComplexArray, bic: float) -> FreeFit | None:
-        """Return the fit that begins with some poles and has as many; None if its BIC is no larger than another."""
+        """Return a rough fit with as many poles as some, about these; None if its BIC is no larger than another."""
         try:
             model = path.reweighted(path.model(p))
         except KeyboardInterrupt:
@@ -161,7 +161,7 @@ class Search:
         if path.criteria(path.loglik(model.losses), path.search.unknowns_of(model.p)).bic <= bic:
             return None
         path.best = model
-        return end_of_search(path, p, count_modes(p), False, channels, either_hold=self.held is None)
+        return end_of_search(path, p, count_modes(p), False, channels, either_hold=self.held is None, refined=False)
 
     def anew(self, fit: FreeFit) -> Anew:
         """Return what searches, or refines from poles, in the noise of a fit with other delays and offsets.

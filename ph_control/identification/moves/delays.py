@@ -186,14 +186,20 @@ def may_be_late(fit: FreeFit) -> bool:
 
 
 def errors_leave_traces(fit: FreeFit) -> bool:
-    """Whether prediction errors beside forces or shared noise are no white noise, or go with an input."""
+    """Whether prediction errors beside forces or shared noise are no white noise, or go with what an input was.
+
+    What an input will be answers to them in a closed loop.
+    """
     records = [rows for rows in fit.projection.experiments if isinstance(rows, FreeRecord)]
     inputs = (rows.u[: rows.inputs] for rows in records)
-    return _are_traces(list(zip(inputs, fit.beside.errors, strict=True)))
+    return _are_traces(list(zip(inputs, fit.beside.errors, strict=True)), first=0)
 
 
-def _are_traces(parts: Sequence[tuple[Array, Array]]) -> bool:
-    """Whether residuals (p, T), NaN where missing, are no white noise or go with inputs (m, T), of some records."""
+def _are_traces(parts: Sequence[tuple[Array, Array]], first: int = -max(map(abs, TUNING.delays))) -> bool:
+    """Whether residuals (p, T), NaN where missing, are no white noise or go with inputs (m, T), of some records.
+
+    With inputs so many samples before and more, from the `first` on.
+    """
     most, p_values = max(map(abs, TUNING.delays)), []
     for u, remaining in parts:
         seen = ~np.isnan(remaining)
@@ -201,7 +207,7 @@ def _are_traces(parts: Sequence[tuple[Array, Array]]) -> bool:
         p_values += [ljung_box([residual[known]], TUNING.lags) for residual, known in zip(residuals, seen, strict=True)]
         size = 2 * u.shape[1]
         U, E = np.fft.rfft(u, size), np.fft.rfft(residuals, size)
-        products = np.fft.irfft(E[:, None] * U.conj(), size)[..., np.r_[-most : most + 1]]
+        products = np.fft.irfft(E[:, None] * U.conj(), size)[..., np.r_[first : most + 1]]
         power = np.sum(residuals**2, axis=1)[:, None] * np.sum(u**2, axis=1) / np.sum(seen, axis=1)[:, None]
         p_values += chi2.sf(products**2 / np.where(power > 0, power, np.inf)[..., None], 1).ravel().tolist()
     return bool(p_values) and min(p_values) * len(p_values) < TUNING.white

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..._types import NDArray
+from ..._types import Mask, NDArray
 from ..growth.ending import evidence_of_constants, order_of_noise
 from ..regression.elimination import orthogonal, without
 from ..regression.time_rows import FreeRecord
@@ -19,24 +19,40 @@ from .assumptions import Anew
 
 def beside_drift(fit: FreeFit, anew: Anew) -> FreeFit:
     """Let outputs of a fit drift, where a line explains more than a slow mode or what is left."""
-    records = [record for record in fit.projection.experiments if isinstance(record, FreeRecord)]
-    slow = fit.projection.d < TUNING.damped_apart * min(record.bin for record in records)
-    if not slow.any() and not any(_leans(*pair) for pair in zip(records, fit.projection.predictions(), strict=True)):
+    if not may_drift(fit):
         return fit
+    slow = are_slow(fit)
     trial = anew(fit.lateness, 2, fit.projection.p[~slow])
     if trial.criteria.bic > fit.criteria.bic - 2 * TUNING.sure or _gain_of_drift(trial) < TUNING.sure:
         return fit
     again = anew(fit.lateness, 2, None)
     best = again if again.criteria.bic <= trial.criteria.bic else trial
-    drifts = [
-        float(slope) for rows, own in zip(best.projection.experiments, best.projection.own, strict=True)
-        if isinstance(rows, FreeRecord) for slope in best.scales[rows.outputs] * own[-2] * rows.unit / rows.hold.h
-    ]  # fmt: skip
     # slow poles may stand for a drift
     level = anew(fit.lateness, 1, fit.projection.p[~slow]) if slow.any() else fit
     gain = max(best.criteria.loglik - level.criteria.loglik, 0.5 * (fit.criteria.bic - best.criteria.bic))
-    finding = Finding(Cause.DRIFT, tuple(drifts), gain)
-    return replace(best, findings=(*fit.findings, finding), delay_gain=fit.delay_gain)
+    return replace(best, findings=(*fit.findings, drift_of(best, gain)), delay_gain=fit.delay_gain)
+
+
+def may_drift(fit: FreeFit) -> bool:
+    """Whether modes are as slow as a drift, or what is left of outputs leans."""
+    records = [record for record in fit.projection.experiments if isinstance(record, FreeRecord)]
+    pairs = zip(records, fit.projection.predictions(), strict=True)
+    return bool(are_slow(fit).any()) or any(_leans(*pair) for pair in pairs)
+
+
+def are_slow(fit: FreeFit) -> Mask:
+    """Return which poles are so slow that a record shows them as a drift."""
+    records = [record for record in fit.projection.experiments if isinstance(record, FreeRecord)]
+    return np.asarray(fit.projection.d < TUNING.damped_apart * min(record.bin for record in records))
+
+
+def drift_of(fit: FreeFit, gain: float) -> Finding:
+    """Return the finding of the drifts of a fit, per unit time, with the log-likelihood that they gain."""
+    drifts = [
+        float(slope) for rows, own in zip(fit.projection.experiments, fit.projection.own, strict=True)
+        if isinstance(rows, FreeRecord) for slope in fit.scales[rows.outputs] * own[-2] * rows.unit / rows.hold.h
+    ]  # fmt: skip
+    return Finding(Cause.DRIFT, tuple(drifts), gain)
 
 
 def _gain_of_drift(fit: FreeFit) -> float:

@@ -6,7 +6,6 @@ jointly, and each output counts by the variance of its own noise, which is estim
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -28,12 +27,10 @@ from .drifts import beside_drift, with_constants
 from .gain_noise import in_noise_of_the_gain
 from .late_inputs import of_late_inputs, with_dead_times
 from .long_records import in_changing_noise, of_long
-from .prevailing_noise import in_prevailing_noise
+from .prevailing_noise import InNoise, beside_forces_and_more, in_prevailing_noise
 from .second_searches import from_peaks, in_own_noise, likelier_in_own_noise, of_few_lines, with_real_poles
 from .single_lines import without_lines_in_error
 from .window_noise import in_noise_of_the_window, with_first_errors
-
-InNoise = Callable[[FreeFit], FreeFit]
 
 
 def free_fit(
@@ -101,20 +98,30 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
         search = replace(search, most=foretelling, automatic=False)
     late = of_late_inputs(channels, search) if assumptions.inputs_may_be_late(channels) else None
     begun = in_prevailing_noise(channels, search) if start is None and late is None else None
-    fit, forced = begun or (_or_likelier(late or search.along(path, channels), path, search, start), None)
-    in_noise = _noise_beside(fit, path, search, start)
-    if forced is None:
+    if begun is not None and begun.stands:
+        fit, forced = begun.fit, begun.forced
+        in_noise = _noise_beside(fit, path, search, start)
+    else:
+        fit = _or_likelier(late or search.along(path, channels), path, search, start)
+        in_noise = _noise_beside(fit, path, search, start)
         forced = fit if fit.interrupted else in_noise(fit)
     if forced.interrupted:
         return forced
+    if begun is not None and begun.forced.criteria.bic < min(fit.criteria.bic, forced.criteria.bic):
+        fit, forced = begun.fit, begun.forced
     if forced.beside is None and forced.own_noise and search.automatic and not fit.noise:
         fit = in_own_noise(fit, forced.own_noise, path, search)
-    if forced.beside is not None and forced.beside.is_coloured and (coloured := likelier_in_own_noise(forced, path)):
-        fit = forced = coloured
-    # a predictor would foretell more by what is late
-    open_delay = assumptions.delay is None and not (begun and forced.beside) and may_be_late(forced)
+    if forced.beside is not None and forced.beside.is_coloured and forced.own_noise:
+        coloured = likelier_in_own_noise(forced, search)
+        fit, forced = (fit, forced) if coloured is None else (coloured, coloured)
+    open_delay = assumptions.delay is None and may_be_late(forced)
+    if forced.beside is not None and forced.beside.is_coloured:
+        return beside_forces_and_more(forced, fit, in_noise, search, may_be_late=open_delay)
     in_white_noise = _beside_all_else(fit.with_delay_open(open_delay), search)
-    return in_white_noise if forced.beside is None else _in_likelier_rows(forced, in_white_noise, in_noise, search)
+    if forced.beside is not None:
+        return _in_likelier_rows(forced, in_white_noise, in_noise, search)
+    changed = in_white_noise.offset > fit.offset or np.any(in_white_noise.delay != fit.delay)
+    return in_noise(in_white_noise) if changed and not in_white_noise.interrupted else in_white_noise
 
 
 def _or_likelier(fit: FreeFit, path: FreePath, search: Search, start: ComplexArray | None) -> FreeFit:
@@ -171,7 +178,7 @@ def _beside_drifts_and_delays(fit: FreeFit, search: Search) -> FreeFit:
 
 
 def _in_likelier_rows(forced: FreeFit, changed: FreeFit, in_noise: InNoise, search: Search) -> FreeFit:
-    """Return the fit beside forces, in rows with drifts or delays if those that white noise shows are likelier."""
+    """Return the fit in noise that outputs share, in rows with drifts or delays if white noise shows likelier ones."""
     if changed.interrupted:
         return replace(forced, interrupted=True)
     if changed.offset > forced.offset or np.any(changed.delay != forced.delay):

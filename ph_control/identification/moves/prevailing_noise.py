@@ -1,30 +1,46 @@
-"""Noise that is far from white, whose model comes before any search: forces that nobody measured, or colour."""
+"""Noise that is far from white, whose model comes before any search, and drifts and delays beside it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..._types import ComplexArray
-from ..regression.free import FreeProjection
+from ..regression.free import FreeProjection, Lateness
 from ..regression.time_rows import FreeRecord
+from ..regression.tuning import TUNING
 from ..search.channel_rows import Experiments
 from ..search.criteria import Orders
 from ..search.fitted_modes import FreeFit, are_broad
+from ..search.path import FreePath
 from ..search.predictor_states import likeliest, predictors_of, signals_of
 from .assumptions import Search
-from .delays import errors_leave_traces, leaves_traces
+from .delays import LONGEST_DELAY, errors_leave_traces, leaves_traces
+from .drifts import are_slow, drift_of, may_drift, with_constants
+
+InNoise = Callable[[FreeFit], FreeFit]
 
 _SAMPLES = 1500  # of a record whose errors would show what is missing
 _ROWS = 100  # of a covariance that only has to tell whether forces prevail
 _CLOSE = 3  # models that are looked at
-_DECAYS = 10.0  # time constants of the slowest mode that records last
+_WORSE = 4  # delays one after the other that foretell less, after which no longer ones are looked at
+_DECAYS = 2.0  # time constants of the slowest mode that records last
 _ROUNDING = 18.0  # logarithm of the ratio of variances for each output: what is left is rounding
 _PREVAILING = 0.1  # logarithm of the ratio of variances for each output
 
 
-def in_prevailing_noise(channels: Experiments, search: Search) -> tuple[FreeFit, FreeFit] | None:
+@dataclass(frozen=True)
+class Begun:
+    """Fits in noise of each output, and beside forces: the same where noise is coloured; whether no search follows."""
+
+    fit: FreeFit
+    forced: FreeFit
+    stands: bool
+
+
+def in_prevailing_noise(channels: Experiments, search: Search) -> Begun | None:
     """Fit modes in noise that is far from white: beside forces that nobody measured, or coloured noise of each output.
 
     White noise tells little of the poles of such records, and a search in it takes modes for what the noise does.  So
@@ -32,17 +48,22 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> tuple[FreeFit,
 
     Returns
     -------
-    tuple of FreeFit or None
-        The fit in noise of each output, and that beside forces: the same where noise is coloured.  None where no such
-        noise prevails, records are short, or the fit leaves traces.
+    Begun or None
+        None where no such noise prevails, or records are short.  Fits that leave traces do not stand.
     """
     given = search.assumptions
     if given.white or given.delay is not None:
         return None
-    path = search.path(channels)
+    path, orders = search.path(channels), search.orders
     records = [record for record in path.plain.data if isinstance(record, FreeRecord)]
-    orders = search.orders
-    foretold = likely_poles(records, len(path.counts), orders) if records else None
+    outputs = len(path.counts)
+    if sum(rows.length for rows in records) < _SAMPLES:
+        return None
+    samples = late_samples(records, outputs, _are_felt(path)) if orders.are_open else 0
+    if samples:
+        path = search.path(channels, Lateness(np.full(outputs, samples * records[0].hold.h), path.input_delay))
+        records = [record for record in path.plain.data if isinstance(record, FreeRecord)]
+    foretold = likely_poles(records, outputs, orders)
     if foretold is None:
         return None
     p, bic = foretold
@@ -51,15 +72,46 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> tuple[FreeFit,
         return None
     forced = fit if fit.interrupted else given.beside(fit, orders=orders)
     if forced.interrupted:
-        return fit, forced
+        return Begun(fit, forced, True)
     if forced.beside is None and forced.own_noise and search.automatic:
         path.best = None
         path.whiten(forced.own_noise, path.power)
         coloured = search.along(path, channels, p)
-        stands = coloured.interrupted or (coloured.states and not leaves_traces(coloured.projection))
-        return (coloured, coloured) if stands else None
-    stands = forced.beside is not None and not errors_leave_traces(forced)
-    return (fit, forced) if stands else None
+        stands = coloured.interrupted or bool(coloured.states and not leaves_traces(coloured.projection))
+        return Begun(coloured, coloured, stands)
+    return None if forced.beside is None else Begun(fit, forced, not errors_leave_traces(forced))
+
+
+def _are_felt(path: FreePath) -> bool:
+    """Whether some outputs answer to inputs at once: accelerations, or to inputs that change between samples."""
+    return bool(path.felt.any()) or any(
+        rows.hold.intersample == "foh" for rows in path.plain.data if isinstance(rows, FreeRecord)
+    )
+
+
+def late_samples(records: Sequence[FreeRecord], outputs: int, felt: bool) -> int:
+    """Return by how many samples outputs come later than the response to inputs, so that predictors foretell most.
+
+    None come before: in a closed loop inputs answer to outputs.  Unless inputs are `felt` at once, a first sample of a
+    response that is fed through is one of the response.
+    """
+    costs, fed = list[float](), list[bool]()
+    for delay in range(LONGEST_DELAY + 1):
+        # of the same samples
+        late = [rows.delayed(delay * rows.hold.h, 0.0, LONGEST_DELAY * rows.hold.h) for rows in records]
+        signals = signals_of(late, outputs)
+        predictors = predictors_of(signals, outputs, _ROWS) if signals else []
+        if not predictors:
+            return 0
+        samples = sum(each.shape[1] for each in signals or ())
+        cost, states, best = likeliest(predictors, samples, predictors[0].largest)[0]
+        costs.append(cost)
+        charge = outputs * best.inputs * float(np.log(samples * outputs)) + 2 * TUNING.sure
+        fed.append(not felt and samples * best.gain_of_present_inputs(states) > charge)
+        if min(costs[-_WORSE:]) > min(costs):
+            break
+    delay = int(np.argmin(costs))
+    return delay - 1 if delay and fed[delay] else delay
 
 
 def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) -> tuple[ComplexArray, float] | None:
@@ -68,7 +120,7 @@ def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) ->
     Parameters
     ----------
     records : sequence of FreeRecord
-        Records without delays.
+        Records, as late as their outputs are.
     outputs : int
         Number of outputs.
     orders : Orders
@@ -83,8 +135,6 @@ def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) ->
     if signals is None:
         return None
     samples = sum(each.shape[1] for each in signals)
-    if samples < _SAMPLES:
-        return None
     ranked = likeliest(predictors_of(signals, outputs, _ROWS), samples, orders.states)
     for _, size, predictor in ranked[:_CLOSE]:
         A, errors = predictor.model(size)[0], predictor.errors
@@ -106,3 +156,54 @@ def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) ->
         gain = float(np.linalg.slogdet(covariance)[1] - errors[size]) / outputs
         return (p, ranked[0][0]) if gain > _PREVAILING else None
     return None
+
+
+def beside_forces_and_more(
+    forced: FreeFit, fit: FreeFit, in_noise: InNoise, search: Search, *, may_be_late: bool
+) -> FreeFit:
+    """Return a fit beside forces with the delay and the drifts that make it likelier.
+
+    Parameters
+    ----------
+    forced, fit : FreeFit
+        Fits beside forces, and in white noise.
+    in_noise : callable
+        Makes the first of the second.
+    search : Search
+        What is left to the data.
+    may_be_late : bool
+        Whether outputs may come later than the response to the inputs.
+    """
+    best = forced
+    try:
+        records = [rows for rows in forced.projection.experiments if isinstance(rows, FreeRecord)]
+        felt = _are_felt(search.path(fit.channels))
+        samples = late_samples(records, len(fit.scales), felt) if may_be_late else 0
+        if samples:
+            delay = np.full(len(fit.scales), samples * fit.channels[0].dt)
+            late = _in_other_rows(best, fit, replace(fit.lateness, outputs=delay), fit.offset, in_noise, search)
+            best = best if late is None else replace(late, delay_gain=0.5 * _gain(best, late))
+        if search.assumptions.drifting and may_drift(best):
+            drifting = _in_other_rows(best, fit, best.lateness, 2, in_noise, search)
+            if drifting is not None:
+                drift = drift_of(drifting, 0.5 * _gain(best, drifting))
+                best = replace(drifting, findings=(*drifting.findings, drift), delay_gain=best.delay_gain)
+    except KeyboardInterrupt:
+        return replace(best, interrupted=True)
+    return with_constants(best) if search.assumptions.drifting else best
+
+
+def _in_other_rows(
+    best: FreeFit, fit: FreeFit, late: Lateness, offset: int, in_noise: InNoise, search: Search
+) -> FreeFit | None:
+    """Return a fit beside forces with another delay or drift, from the poles of the `best`, if that is far likelier."""
+    p = best.projection.p[~are_slow(best)] if offset > 1 else best.projection.p
+    again = in_noise(search.anew(fit)(late, offset, p))
+    if again.interrupted:
+        raise KeyboardInterrupt
+    return again if again.beside is not None and _gain(best, again) > 2 * TUNING.sure else None
+
+
+def _gain(before: FreeFit, after: FreeFit) -> float:
+    """Return by how much the BIC of a fit is smaller, of as many samples."""
+    return before.criteria.bic - after.criteria.bic * before.projection.rows / after.projection.rows

@@ -47,8 +47,9 @@ def in_own_noise(fit: FreeFit, filters: tuple[Array, ...], path: FreePath, searc
     return again if again.interrupted or again.criteria.bic < fit.criteria.bic else fit
 
 
-def likelier_in_own_noise(forced: FreeFit, path: FreePath) -> FreeFit | None:
+def likelier_in_own_noise(forced: FreeFit, search: Search) -> FreeFit | None:
     """Fit the modes of a fit beside forces in coloured noise of each output instead; None if that is less likely."""
+    path = search.path(forced.channels, forced.lateness, forced.offset, forced.intersample)
     path.whiten(forced.own_noise, path.power)
     model = path.in_its_noise(path.model(forced.projection.p))
     coloured = finished(path, model, forced.channels)
