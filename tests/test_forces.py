@@ -166,6 +166,39 @@ def test_slow_noise_is_no_force_where_it_makes_poles_grow_in_white_noise():
         assert phc.residual_analysis((u, y + slow), result).whiteness > 1e-3
 
 
+@pytest.mark.parametrize("late", [1, 6])
+def test_a_delay_is_told_from_what_forces_do(late):
+    u, y = record(7, 2000 + late, forces=0.2)
+    result = fit_of((u[:, late:], y[:, :-late]))
+    assert result.order == 3 and not len(result.real_poles) and "FORCES" in causes(result)
+    np.testing.assert_array_equal(result.delay, late)
+    np.testing.assert_allclose(result.damping_ratios, ZETA, atol=5 * result.stderr["damping_ratios"].max())
+
+
+def test_a_drift_is_found_beside_forces():
+    u, y = record(8, forces=0.2)
+    slopes = np.array([1.0, -2.0, 0.5]) * y.std() / 2000
+    result = fit_of((u, y + slopes[:, None] * np.arange(2000)), 3, offset="auto", real_poles=0)
+    assert result.order == 3 and not len(result.real_poles) and {"FORCES", "DRIFT"} <= causes(result)
+    (drift,) = [finding for finding in result.findings if finding.cause.name == "DRIFT"]
+    np.testing.assert_allclose(drift.values, slopes, atol=0.1 * abs(slopes).max())
+
+
+def test_inputs_that_answer_to_outputs_are_no_traces():
+    """A controller makes inputs of outputs, and so of forces: what it does later says nothing of the model."""
+    A, B, C, Q = steps()
+    rng, x, u, y = np.random.default_rng(9), np.zeros(6), np.empty((1, 3000)), np.empty((3, 3000))
+    moves = 0.3 * np.linalg.cholesky(Q + 1e-14 * np.eye(6)) @ rng.standard_normal((6, 3000))
+    for t in range(3000):
+        y[:, t] = C @ x + 0.05 * rng.standard_normal(3)
+        u[0, t] = rng.standard_normal() - 0.2 * y[0, t]
+        x = A @ x + B[:, 0] * u[0, t] + moves[:, t]
+    result = fit_of((u[:, 500:], y[:, 500:]))
+    assert result.order == 3 and not len(result.real_poles) and "FORCES" in causes(result)
+    assert not result.delay.any()
+    assert np.all(np.abs(result.damping_ratios - ZETA) < 4 * result.stderr["damping_ratios"])
+
+
 def test_a_noise_that_is_unknown_is_refused():
     with pytest.raises(phc.StructureError, match="noise is 'wind'; it must be one of 'auto', 'white', 'correlated'"):
         fit_of(record(0, 300), noise="wind")

@@ -98,7 +98,7 @@ def finished(
         if not fed.all():
             projection, losses = settled(path, projection.p, fed, near, projection)
     # noise of slow colour hides a constant that is still the level of the output
-    if path.options.constant_open and refined and not model.innovations:
+    if path.options.constant_open and not (interrupted or model.innovations):
         projection, losses = _without_needless_constants(path, projection, losses, fed, near)
     projection, losses = on_simplest_background(path, projection, losses, fed, near)
     if refined:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..._types import ComplexArray
+from ..._types import Array, ComplexArray
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import is_long
 from ..growth.held_out import foretelling_order
@@ -110,18 +110,29 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
     if begun is not None and begun.forced.criteria.bic < min(fit.criteria.bic, forced.criteria.bic):
         fit, forced = begun.fit, begun.forced
     if forced.beside is None and forced.own_noise and search.automatic and not fit.noise:
-        fit = in_own_noise(fit, forced.own_noise, path, search)
+        fit = forced = _in_slow_noise(fit, forced.own_noise, path, search)
     if forced.beside is not None and forced.beside.is_coloured and forced.own_noise:
-        coloured = likelier_in_own_noise(forced, search)
-        fit, forced = (fit, forced) if coloured is None else (coloured, coloured)
+        likelier = likelier_in_own_noise(forced, search)
+        fit, forced = (fit, forced) if likelier is None else (likelier, likelier)
+    if forced.interrupted:
+        return forced
     open_delay = assumptions.delay is None and may_be_late(forced)
     if forced.beside is not None and forced.beside.is_coloured:
         return beside_forces_and_more(forced, fit, in_noise, search, may_be_late=open_delay)
     in_white_noise = _beside_all_else(fit.with_delay_open(open_delay), search)
-    if forced.beside is not None:
-        return _in_likelier_rows(forced, in_white_noise, in_noise, search)
-    changed = in_white_noise.offset > fit.offset or np.any(in_white_noise.delay != fit.delay)
-    return in_noise(in_white_noise) if changed and not in_white_noise.interrupted else in_white_noise
+    return in_white_noise if forced.beside is None else _in_likelier_rows(forced, in_white_noise, in_noise, search)
+
+
+def _in_slow_noise(fit: FreeFit, filters: tuple[Array, ...], path: FreePath, search: Search) -> FreeFit:
+    """Return the fit in coloured noise of each output, or beside the drift that looks like it, if likelier."""
+    drifting = fit
+    if search.assumptions.drifting:
+        try:
+            drifting = beside_drift(fit, search.anew(fit))
+        except KeyboardInterrupt:
+            return replace(fit, interrupted=True)
+    coloured = in_own_noise(fit, filters, path, search)
+    return drifting if drifting.criteria.bic < coloured.criteria.bic and not coloured.interrupted else coloured
 
 
 def _or_likelier(fit: FreeFit, path: FreePath, search: Search, start: ComplexArray | None) -> FreeFit:

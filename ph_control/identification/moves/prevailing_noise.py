@@ -135,7 +135,11 @@ def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) ->
     if signals is None:
         return None
     samples = sum(each.shape[1] for each in signals)
-    ranked = likeliest(predictors_of(signals, outputs, _ROWS), samples, orders.states)
+    predictors = predictors_of(signals, outputs, _ROWS)
+    ranked = likeliest(predictors, samples, max(each.largest for each in predictors)) if predictors else []
+    if not ranked or ranked[0][1] > orders.states:
+        return None  # what modes that are missing leave says nothing of the noise
+    ranked = [row for row in ranked if row[1] <= orders.states]
     for _, size, predictor in ranked[:_CLOSE]:
         A, errors = predictor.model(size)[0], predictor.errors
         if not np.isfinite(A).all() or errors[0] - errors[size] > _ROUNDING * outputs:
@@ -196,12 +200,12 @@ def beside_forces_and_more(
 def _in_other_rows(
     best: FreeFit, fit: FreeFit, late: Lateness, offset: int, in_noise: InNoise, search: Search
 ) -> FreeFit | None:
-    """Return a fit beside forces with another delay or drift, from the poles of the `best`, if that is far likelier."""
+    """Return a fit with another delay or drift, beside forces if they remain, if that is far likelier."""
     p = best.projection.p[~are_slow(best)] if offset > 1 else best.projection.p
     again = in_noise(search.anew(fit)(late, offset, p))
     if again.interrupted:
         raise KeyboardInterrupt
-    return again if again.beside is not None and _gain(best, again) > 2 * TUNING.sure else None
+    return again if _gain(best, again) > 2 * TUNING.sure else None
 
 
 def _gain(before: FreeFit, after: FreeFit) -> float:

@@ -51,7 +51,10 @@ def likelier_in_own_noise(forced: FreeFit, search: Search) -> FreeFit | None:
     """Fit the modes of a fit beside forces in coloured noise of each output instead; None if that is less likely."""
     path = search.path(forced.channels, forced.lateness, forced.offset, forced.intersample)
     path.whiten(forced.own_noise, path.power)
-    model = path.in_its_noise(path.model(forced.projection.p))
+    try:
+        model = path.in_its_noise(path.model(forced.projection.p))
+    except KeyboardInterrupt:
+        return replace(forced, interrupted=True)
     coloured = finished(path, model, forced.channels)
     return coloured if coloured.criteria.bic <= forced.criteria.bic else None
 
