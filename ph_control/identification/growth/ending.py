@@ -195,12 +195,13 @@ def fed_through(path: FreePath, projection: FreeProjection) -> Mask:
 def evidence_of_constants(projection: FreeProjection) -> float:
     """Return how much the loss would grow without the constants of outputs, in noise as slow as these are left with."""
     covariance, slowness = projection.covariance(1.0), _slowness(projection)
-    triples = (
-        (own[-1], inner[-1, -1], slow) for k, outputs in enumerate(projection.own) for own, (inner, _), slow in zip(
+    pairs = (
+        (own[-1], inner[-1, -1] * slow) for k, outputs in enumerate(projection.own) for own, (inner, _), slow in zip(
             outputs.T, projection.own_covariances(k, covariance, 1.0), slowness[k], strict=True
         )
     )  # fmt: skip
-    return float(sum(value**2 / (variance * slow) for value, variance, slow in triples))
+    # rows may show nothing of a constant
+    return float(sum(value**2 / variance for value, variance in pairs if variance > 0))
 
 
 def _slowness(projection: FreeProjection) -> list[list[float]]:
