@@ -26,6 +26,7 @@ _SAMPLES = 1500  # of a record whose errors would show what is missing
 _ROWS = 100  # of a covariance that only has to tell whether forces prevail
 _CLOSE = 3  # models that are looked at
 _WORSE = 4  # delays one after the other that foretell less, after which no longer ones are looked at
+_SPARED = 0.5  # of the states that a delay spares, which have to show in the criterion
 _DECAYS = 2.0  # time constants of the slowest mode that records last
 _ROUNDING = 18.0  # logarithm of the ratio of variances for each output: what is left is rounding
 _PREVAILING = 0.1  # logarithm of the ratio of variances for each output
@@ -92,10 +93,10 @@ def _are_felt(path: FreePath) -> bool:
 def late_samples(records: Sequence[FreeRecord], outputs: int, felt: bool) -> int:
     """Return by how many samples outputs come later than the response to inputs, so that predictors foretell most.
 
-    None come before: in a closed loop inputs answer to outputs.  Unless inputs are `felt` at once, a first sample of a
-    response that is fed through is one of the response.
+    Each sample of a delay spares a state for each input.  None come before: in a closed loop inputs answer to outputs.
+    Unless inputs are `felt` at once, a first sample of a response that is fed through is one of the response.
     """
-    costs, fed = list[float](), list[bool]()
+    costs, fed, spared = list[float](), list[bool](), 0.0
     for delay in range(LONGEST_DELAY + 1):
         # of the same samples
         late = [rows.delayed(delay * rows.hold.h, 0.0, LONGEST_DELAY * rows.hold.h) for rows in records]
@@ -106,12 +107,14 @@ def late_samples(records: Sequence[FreeRecord], outputs: int, felt: bool) -> int
         samples = sum(each.shape[1] for each in signals or ())
         cost, states, best = likeliest(predictors, samples, predictors[0].largest)[0]
         costs.append(cost)
-        charge = outputs * best.inputs * float(np.log(samples * outputs)) + 2 * TUNING.sure
-        fed.append(not felt and samples * best.gain_of_present_inputs(states) > charge)
+        each = best.inputs * float(np.log(samples * outputs))
+        spared = (best.signals + outputs) * each
+        fed.append(not felt and samples * best.gain_of_present_inputs(states) > outputs * each + 2 * TUNING.sure)
         if min(costs[-_WORSE:]) > min(costs):
             break
     delay = int(np.argmin(costs))
-    return delay - 1 if delay and fed[delay] else delay
+    delay -= bool(delay and fed[delay])
+    return delay if costs[0] - min(costs) > _SPARED * delay * spared else 0
 
 
 def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) -> tuple[ComplexArray, float] | None:
