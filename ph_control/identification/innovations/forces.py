@@ -160,9 +160,7 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
         return free
-    if certain:
-        return _in_noise(free, best, alone, certain)
-    likelier, filters = _own_noise(best.evaluation, white)
+    likelier, filters = (False, ()) if certain else _own_noise(best.evaluation, white)
     fitted = free if likelier else _in_noise(free, best, alone, certain)
     return replace(fitted, own_noise=filters)
 
@@ -246,9 +244,7 @@ class _Predictors:
 
     def _fed(self, states: int, predictor: PredictorStates) -> Mask | None:
         """What is fed through beside states: all, where present inputs foretell more than chance, or as was fitted."""
-        samples, outputs = _samples(self.rows), len(self.free.scales)
-        charge = outputs * predictor.inputs * float(np.log(samples)) + 2 * TUNING.sure
-        fed = samples / outputs * predictor.gain_of_present_inputs(states) > charge
+        fed = predictor.feeds_through(states, _samples(self.rows) // predictor.outputs)
         return None if fed else self.free.projection.fed
 
 

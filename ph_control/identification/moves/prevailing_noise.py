@@ -107,9 +107,8 @@ def late_samples(records: Sequence[FreeRecord], outputs: int, felt: bool) -> int
         samples = sum(each.shape[1] for each in signals or ())
         cost, states, best = likeliest(predictors, samples, predictors[0].largest)[0]
         costs.append(cost)
-        each = best.inputs * float(np.log(samples * outputs))
-        spared = (best.signals + outputs) * each
-        fed.append(not felt and samples * best.gain_of_present_inputs(states) > outputs * each + 2 * TUNING.sure)
+        spared = best.inputs * (best.signals + outputs) * float(np.log(samples * outputs))
+        fed.append(not felt and best.feeds_through(states, samples))
         if min(costs[-_WORSE:]) > min(costs):
             break
     delay = int(np.argmin(costs))
@@ -184,8 +183,7 @@ def beside_forces_and_more(
     best = forced
     try:
         records = [rows for rows in forced.projection.experiments if isinstance(rows, FreeRecord)]
-        felt = _are_felt(search.path(fit.channels))
-        samples = late_samples(records, len(fit.scales), felt) if may_be_late else 0
+        samples = late_samples(records, len(fit.scales), _are_felt(search.path(fit.channels))) if may_be_late else 0
         if samples:
             delay = np.full(len(fit.scales), samples * fit.channels[0].dt)
             late = _in_other_rows(best, fit, replace(fit.lateness, outputs=delay), fit.offset, in_noise, search)

@@ -12,6 +12,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from ..._types import Array
 from ..regression.time_rows import FreeRecord
+from ..regression.tuning import TUNING
 
 _RANK = 1e-10  # of a variance: what cannot be told from rounding
 _SAMPLES_EACH = 10  # of the records for each sample of the past of each signal
@@ -138,8 +139,8 @@ class PredictorStates:
             error = error + np.outer(column, column)
         return np.array([*logarithms, np.linalg.slogdet(error)[1]][::-1])
 
-    def gain_of_present_inputs(self, states: int) -> float:
-        """Return by how much present inputs lower the logarithm of the determinant of errors, beside so many states."""
+    def feeds_through(self, states: int, samples: int) -> bool:
+        """Return whether present inputs foretell more than chance beside so many states, in so many samples."""
         p, signals = self.outputs, np.eye(self.signals, len(self._covariance))
         determinants = []
         for inputs in (signals[p:p], signals[p:]):
@@ -147,7 +148,8 @@ class PredictorStates:
             S = known @ self._covariance @ known.T
             root = np.linalg.cholesky(S + np.diag(_RANK * np.diag(S)))[-p:, -p:]
             determinants.append(2 * float(np.sum(np.log(np.diag(root)))))
-        return determinants[0] - determinants[1]
+        charge = p * self.inputs * float(np.log(samples * p)) + 2 * TUNING.sure
+        return samples * (determinants[0] - determinants[1]) > charge
 
     def _regressed(self, combinations: Array, of: Array) -> Array:
         """Coefficients of some combinations of signals in `combinations` of others."""
