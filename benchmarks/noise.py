@@ -255,6 +255,7 @@ def run(name: str, shape: tuple[int, int, int], seeds: int, T: int = 3000, *, fo
 
 
 SHAPES = {"1 x 1": (2, 1, 1), "3 x 1": (3, 3, 1), "4 x 2": (4, 4, 2)}
+OF_INPUTS = {"1 x 1": (2, 1, 1), "3 x 1": (3, 3, 1), "3 x 2": (3, 3, 2)}  # whose recorded inputs have noise
 
 
 def cases(what: str) -> dict[str, dict[str, float]]:
@@ -277,16 +278,17 @@ def main() -> None:
     parser.add_argument("what", choices=["forces", "inputs", "sensors", "colour", "white"])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--shape", choices=SHAPES, action="append")
+    parser.add_argument("--shape", choices=SHAPES | OF_INPUTS, action="append")
     parser.add_argument("--case", type=int)
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
-    for name in arguments.shape or SHAPES:
-        if arguments.what == "sensors" and SHAPES[name][1] == 1:
+    shapes = OF_INPUTS if arguments.what == "inputs" else SHAPES
+    for name, shape in shapes.items():
+        if name not in (arguments.shape or shapes) or (arguments.what == "sensors" and shape[1] == 1):
             continue
         for place, (case, how) in enumerate(cases(arguments.what).items()):
             if arguments.case in (None, place):
-                run(f"{name}, {case}", SHAPES[name], arguments.seeds, first=arguments.first, **how)
+                run(f"{name}, {case}", shape, arguments.seeds, first=arguments.first, **how)
 
 
 if __name__ == "__main__":

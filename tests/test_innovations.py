@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from ambient_plant import ambient, sampled
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+from scipy.signal import lfilter
 
+import ph_control as phc
+
+from ph_control.identification.innovations.estimated_noise import with_estimated_noise
 from ph_control.identification.innovations.minimum import Experiment, InnovationsModel, Problem, minimise
 from ph_control.identification.innovations.subspace import in_sections
 
@@ -86,3 +90,75 @@ def test_bases_of_the_states_change_nothing_and_are_no_unknowns():
         lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
         assert np.abs((gram / np.outer(lengths, lengths)) @ (evaluation.bases * lengths[:, None])).max() < 1e-6
         assert evaluation.unknowns == 6 + 36 + 6 - bases + 6
+
+
+def of_estimated_noise(evaluation, covariance):
+    """Kenward and Roger's covariance from matrices of all bins and differences: what it adds, and to what."""
+    point, (experiment,), p = evaluation.point, evaluation.problem.experiments, evaluation.p
+    noise, width, z = point.noise, point.noise.C.size, experiment.z
+    few = len(noise.sections.x)
+    lower = np.tril_indices(p)
+
+    def spectrum(theta):
+        C, K = theta[:width].reshape(p, -1), theta[width : 2 * width].reshape(-1, p)
+        S = np.zeros((p, p))
+        S[lower] = theta[2 * width :]
+        S = S + np.tril(S, -1).T
+        H = np.eye(p) + noise.moved(noise.sections, C, K).outputs_of_states(z) @ K
+        return H @ S @ H.conj().transpose(0, 2, 1)
+
+    theta = np.concatenate([noise.C.ravel(), noise.K.ravel(), evaluation.covariance[lower]])
+    V = np.linalg.inv(spectrum(theta))
+    slopes = []
+    for j, value in enumerate(theta):
+        change = np.zeros(len(theta))
+        change[j] = 1e-6 * max(abs(value), 1e-3)
+        slopes.append((spectrum(theta + change) - spectrum(theta - change)) / (2 * change[j]))
+    counts = experiment.counts[:, None, None]
+    whole = np.array([np.concatenate([(V @ slope * np.sqrt(counts)).ravel()]) for slope in slopes])
+    crossed = np.array([(V @ slope * np.sqrt(counts)).transpose(0, 2, 1).ravel() for slope in slopes])
+    lengths = np.sqrt(np.sum(np.abs(whole) ** 2, axis=1))
+    information = 0.5 * (whole @ crossed.T).real / np.outer(lengths, lengths)
+    of_noise = np.linalg.pinv(information, rcond=1e-6, hermitian=True) / np.outer(lengths, lengths)
+
+    x, mean = evaluation.problem.vector(point), []
+    plant = np.append(np.arange(few), np.arange(few + 2 * width, len(x)))
+    for j in plant:
+        change = np.zeros(len(x))
+        change[j] = 1e-6 * max(abs(x[j]), 1e-3)
+        up, down = (evaluation.problem.at(evaluation.problem.point(x + s * change, point)) for s in (1, -1))
+        mean.append((down.disturbances[0] - up.disturbances[0]).T / (2 * change[j]))
+    X = np.array(mean).transpose(1, 2, 0)
+    Xh, known = X.conj().transpose(0, 2, 1) * counts, covariance[np.ix_(plant, plant)]
+    P = [-(Xh @ V @ slope @ V @ X).sum(axis=0).real for slope in slopes]
+    added = np.zeros(known.shape)
+    for i, j in np.ndindex(of_noise.shape):
+        Q = (Xh @ V @ slopes[i] @ V @ slopes[j] @ V @ X).sum(axis=0).real
+        added += of_noise[i, j] * (2 * (Q - P[i] @ known @ P[j]) + 0.5 * np.trace(known @ P[i]) * P[j])
+    return plant, known, known @ added @ known
+
+
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_errors_beside_estimated_noise_are_those_of_the_formula_for_all_bins(outputs, monkeypatch):
+    seen = []
+
+    def keep(evaluation, covariance):
+        seen.append((evaluation, covariance, with_estimated_noise(evaluation, covariance)))
+        return seen[-1][2]
+
+    monkeypatch.setattr("ph_control.identification.innovations.joint.with_estimated_noise", keep)
+    rng = np.random.default_rng(outputs)
+    u, forces = rng.standard_normal((1, 900)), 0.2 * rng.standard_normal((1, 900))
+    motion = lfilter([0, 1, -1], np.poly(np.exp([-0.016 + 0.8j, -0.016 - 0.8j])).real, (u + forces)[0])
+    y = np.array([1.0, 0.7])[:outputs, None] * motion
+    result = phc.pem((u, y + 0.1 * rng.standard_normal(y.shape)), 1, dt=1.0, real_poles=0, noise="forces", delay=0)
+    assert "FORCES" in {finding.cause.name for finding in result.findings}
+    evaluation, covariance, changed = seen[-1]
+    plant, known, added = of_estimated_noise(evaluation, covariance)
+    more = changed[np.ix_(plant, plant)] - known
+    # that of poles, per cent of variances; bins without information are left out
+    np.testing.assert_allclose(
+        np.diag(more)[:2] / np.diag(known)[:2], np.diag(added)[:2] / np.diag(known)[:2], rtol=0.1
+    )
+    assert np.all(np.diag(more) >= -1e-12 * np.diag(known))
+    assert np.all(np.diag(more)[:2] > 0.01 * np.diag(known)[:2])

@@ -11,6 +11,7 @@ import numpy as np
 from ..._types import Array, ComplexArray
 from ..regression.free import FreeProjection, FreeRows, GivenResidues, Sensitivity
 from ..regression.sections import Sections
+from .estimated_noise import with_estimated_noise
 from .minimum import Minimum
 
 
@@ -36,7 +37,7 @@ class Quadratic:
         evaluation = minimum.evaluation
         problem, point = evaluation.problem, evaluation.point
         sections, active = point.noise.sections, problem.active
-        size, every = len(sections.x), evaluation.information_inverse()
+        size, every = len(sections.x), with_estimated_noise(evaluation, evaluation.information_inverse())
         noise = 2 * point.noise.C.size if problem.coloured else 0
         count = int(active.sum())
         kept = np.append(np.arange(size), size + noise + np.arange(count))

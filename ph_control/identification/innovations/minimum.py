@@ -322,7 +322,7 @@ class LikelihoodEvaluation:
         slim = np.concatenate([np.arange(few), np.arange(few + both, size)])  # coordinates of sections, first states
         of_C, of_K = slice(few, few + p * N), slice(few + p * N, few + both)
         for place, (experiment, errors) in enumerate(zip(problem.experiments, self.errors, strict=True)):
-            for bins, counts in self._thinned(experiment):
+            for bins, counts in self.thinned(experiment):
                 z, e = experiment.z[bins], errors[:, bins]
                 W, seen = self._whitening(z)
                 through, states = W @ np.asarray(seen), self._states(place, z, e)
@@ -348,7 +348,7 @@ class LikelihoodEvaluation:
         gram[np.ix_(order, order)] = ordered
         return gram
 
-    def _thinned(self, experiment: Experiment) -> Iterator[tuple[slice, Array]]:
+    def thinned(self, experiment: Experiment) -> Iterator[tuple[slice, Array]]:
         """Pieces of bins, and what each of these counts."""
         noise, N = self.point.noise, self.point.noise.states
         width = float(np.abs(noise.sections.p.real).min()) * experiment.samples / np.pi
@@ -404,6 +404,14 @@ class LikelihoodEvaluation:
             start = z / np.sqrt(problem.experiments[place].samples)
             if seen is not None:
                 J[:, :, first : first + noise.states] = -through * start[:, None, None]
+
+    def slopes_of_mean(self, place: int, bins: slice) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Whitened derivatives (bins, p, P) of the outputs' mean by all numbers, what whitens, and the states seen."""
+        z, first = self.problem.experiments[place].z[bins], len(self.point.noise.sections.x)
+        W, seen = self._whitening(z)
+        J = np.zeros((len(z), self.p, len(self.problem.vector(self.point))), complex)
+        self._fill_driven(J, place, bins, W, first + 2 * self.point.noise.C.size)
+        return J, W, W @ np.asarray(seen)
 
     def _fill_driven(self, J: ComplexArray, place: int, bins: slice, W: ComplexArray, column: int) -> None:
         """Derivatives by poles of the plant, shared numbers, and those of the experiment."""
