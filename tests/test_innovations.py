@@ -7,7 +7,6 @@ from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 from scipy.signal import lfilter
 
 import ph_control as phc
-
 from ph_control.identification.innovations.estimated_noise import with_estimated_noise
 from ph_control.identification.innovations.minimum import Experiment, InnovationsModel, Problem, minimise
 from ph_control.identification.innovations.subspace import in_sections

@@ -56,7 +56,8 @@ def with_estimated_noise(evaluation: LikelihoodEvaluation, covariance: Array) ->
     bins = _telling_bins(evaluation, plant, root)
     X = bins.mean
     flat = np.concatenate([X.real, X.imag]).reshape(-1, X.shape[2])
-    spread, every, twice = X @ X.conj().transpose(0, 2, 1), 0.0, 0.0
+    spread, twice = X @ X.conj().transpose(0, 2, 1), np.zeros((len(plant), len(plant)))
+    every: ComplexArray = np.zeros(spread.shape, complex)
     downwards: ComplexArray = np.zeros(spread.shape, complex)
     for E in _slopes(evaluation, bins, covariance[few : few + 2 * width, few : few + 2 * width]):
         through = E @ X
@@ -71,7 +72,7 @@ def with_estimated_noise(evaluation: LikelihoodEvaluation, covariance: Array) ->
     return changed
 
 
-def _gram(X: ComplexArray, weights: ComplexArray | float) -> Array:
+def _gram(X: ComplexArray, weights: ComplexArray) -> Array:
     """Sum of `X^* W X` over bins, real part."""
     weighed = weights @ X
     return np.asarray(np.tensordot(X.conj(), weighed, ([0, 1], [0, 1])).real)
@@ -97,7 +98,7 @@ def _telling_bins(evaluation: LikelihoodEvaluation, plant: Indices, root: Array)
 def _slopes(evaluation: LikelihoodEvaluation, bins: _Bins, covariance: Array) -> Iterator[ComplexArray]:
     """Matrices `E` (bins, p, p) of directions of the noise that have covariance 1: gains and shapes, then sizes."""
     p, N = evaluation.point.noise.C.shape
-    L = np.linalg.cholesky(evaluation.covariance)
+    L: Array = np.linalg.cholesky(evaluation.covariance)
     values, vectors = np.linalg.eigh(covariance)
     kept = values > _RULE * values.max(initial=0.0)
     directions = vectors[:, kept] * np.sqrt(values[kept])
