@@ -202,13 +202,14 @@ def test_the_options_of_the_fit_reach_it(recording, tmp_path, monkeypatch):
         "fit", recording, "--order", 2, "--max-order", 7, "--criterion", "aicc", "--method", "midpoint",
         "--intersample", "foh", "--initial-state", "zero", "--offset", "--quantity", "acceleration",
         "--representation", "controllable", "--guess", guess, "--seed", 5, "--workers", 2,
+        "--real-poles", 1, "--noise", "white",
     )  # fmt: skip
     assert seen.pop("initial_guess").d.tolist() == [0.6, 1.6]
     assert seen == {
         "order": 2, "max_order": 7, "criterion": "aicc", "method": "midpoint", "intersample": "foh",
         "initial_state": "zero", "offset": True, "quantity": "acceleration", "representation": "controllable", "rng": 5,
         "workers": 2, "callback": None, "structure": "auto", "ports": None, "delay": "auto",
-        "input_delay": "auto",
+        "input_delay": "auto", "real_poles": 1, "noise": "white",
     }  # fmt: skip
 
 

@@ -61,6 +61,16 @@ def test_a_plant_that_a_noise_model_could_swallow_is_found_with_its_dead_time():
     assert simulated_percent(result, u, x) > 80
 
 
+def test_a_lag_that_only_its_dead_time_tells_from_the_load_is_found():
+    # without the dead time, noise alone is likelier
+    rng = np.random.default_rng(11)
+    u = levels(rng, 1200, 25)
+    x = chained(u, (0.95,), 6)
+    result = phc.pem((u, x + 1.2 * np.std(x) * autoregressive(rng, 1200, 0.96)), dt=1.0, quantity="free")
+    assert result.states == 1 and abs(result.delay[0] - 6) <= 2
+    assert simulated_percent(result, u, x) > 50
+
+
 @pytest.mark.parametrize("a", [0.5, 0.9])
 def test_modes_beside_autoregressive_noise_have_errors_that_hold(a):
     poles = np.array([-0.01 + 0.6j, -0.02 + 1.4j])

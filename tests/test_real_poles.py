@@ -79,6 +79,18 @@ def test_the_number_of_real_poles_may_be_given():
             phc.pem((u, y), dt=H, real_poles=wrong)
 
 
+def test_real_poles_may_be_given_without_modes():
+    _, _, u, y = recording("motor")
+    motor = phc.pem((u, y), 0, dt=H, real_poles=2)
+    assert (motor.order, len(motor.real_poles)) == (0, 2)
+    assert np.allclose(motor.real_poles, phc.pem((u, y), dt=H).real_poles, rtol=1e-3)
+    lag = phc.pem((u, y), 0, dt=H, real_poles=1)
+    assert (lag.order, len(lag.real_poles)) == (0, 1) and lag.outcome.name != "CONSISTENT"
+    for few in ({"real_poles": "auto"}, {"real_poles": 0}):
+        with pytest.raises(phc.StructureError, match="order is 0"):
+            phc.pem((u, y), 0, dt=H, **few)
+
+
 def test_an_overdamped_mass_is_classical_and_a_network_of_relaxations_passive():
     u, rng = steps(5)
     mass = held([-4.0, -18.0], [1 / 14, -1 / 14], u)

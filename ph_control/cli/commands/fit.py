@@ -44,6 +44,7 @@ from ..outputs import (
 USAGE = "RECORDING [RECORDING ...] [options]"
 
 CRITERIA = ("bic", "aicc", "aic", "holdout")
+NOISES = ("auto", "white", "correlated", "coloured", "forces")
 QUANTITIES = ("velocity", "displacement", "acceleration", "free")
 STRUCTURES = ("auto", "lossless", "classical", "passive", "free")
 REPRESENTATIONS = ("observable", "controllable")
@@ -71,6 +72,13 @@ def add_fitted(parser: Parser) -> None:
     """What is fitted, and how."""
     model = parser.add_argument_group("the model")
     model.add_argument("--order", type=order, default="auto", metavar="N", help="number of modes, or auto (default)")
+    model.add_argument(
+        "--real-poles", type=order, default="auto", metavar="N",
+        help="number of real poles, as of lags, beside the modes, or auto (default); alone with --order 0",
+    )  # fmt: skip
+    model.add_argument(
+        "--noise", choices=NOISES, default="auto", help="what is beside the response to the inputs (default auto)"
+    )
     model.add_argument("--max-order", type=int, default=20, metavar="N", help="largest order of auto (default 20)")
     model.add_argument(
         "--criterion", choices=CRITERIA, default="bic", help="criterion that auto minimises (default bic)"
@@ -125,7 +133,7 @@ def keywords_of(options: Namespace) -> dict[str, Any]:
             raise StructureError(f"--guess: {error}") from None
     same = (
         "order", "method", "intersample", "initial_state", "offset", "quantity", "representation", "criterion",
-        "max_order", "structure", "ports", "delay", "input_delay",
+        "max_order", "structure", "ports", "delay", "input_delay", "real_poles", "noise",
     )  # fmt: skip
     return {name: getattr(options, name) for name in same} | {"initial_guess": guess, "rng": options.seed}
 

@@ -48,11 +48,6 @@ class Options:
     @classmethod
     def checked(cls, channels: Channels, **options: Any) -> Options:
         """Check options, and signals that could not show anything."""
-        order = options["order"]
-        if not isinstance(order, str):
-            order = _checks.whole_number("order", order, 1)
-        elif order != "auto":
-            raise StructureError(f"order is {order!r}; it must be 'auto' or a whole number of at least 1")
         _checks.flag_or_auto("offset", options["offset"])
         most, real_poles = options["max_order"], options["real_poles"]
         most = _MOST[isinstance(channels[0], ResponseMatrix)] if most is None else most
@@ -61,6 +56,7 @@ class Options:
             real_poles = _checks.whole_number("real_poles", real_poles, 0)
         elif real_poles != "auto":
             raise StructureError(f"real_poles is {real_poles!r}; it must be 'auto' or a whole number of at least 0")
+        order = _checked_order(options["order"], real_poles)
         late = {
             "delay": _checked_delay(options["delay"], len(channels[0].output_labels)),
             "input_delay": _checked_input_delay(options["input_delay"], channels),
@@ -75,6 +71,20 @@ class Options:
     def largest(self) -> int:
         """Largest number of modes."""
         return self.max_order if isinstance(self.order, str) else self.order
+
+
+def _checked_order(order: Any, real_poles: int | str) -> int | str:
+    """Check a number of modes: none only where a number of real poles is given."""
+    if isinstance(order, str):
+        if order != "auto":
+            raise StructureError(f"order is {order!r}; it must be 'auto' or a whole number of at least 1")
+        return order
+    modes = _checks.whole_number("order", order, 0 if real_poles else 1)
+    if not modes and real_poles == "auto":
+        raise StructureError(
+            "order is 0; it must be a whole number of at least 1, or 0 with a number of real poles: real_poles=1 for a lag"
+        )
+    return modes
 
 
 def _checked_delay(value: Any, outputs: int) -> Array | None:

@@ -68,7 +68,8 @@ def pem(
         may have different channels, matched by their labels, or their places where there are none.  `(None, y)` is a
         free motion, or one that forces which nobody measured keep up.  NaN outputs are missing samples.  Not modified.
     order : int or 'auto'
-        Number of modes n, pairs of real poles among them; 'auto' takes the one that `criterion` prefers.
+        Number of modes n, pairs of real poles among them; 'auto' takes the one that `criterion` prefers.  0 where the
+        number of `real_poles` is given: two of these that come together turn into a mode.
     dt : float, or sequence of float, one for each experiment, optional
         Time between samples; required with arrays.  Of a response with a window that of the record which it was
         estimated from; by default its frequencies are taken for neighbouring lines.

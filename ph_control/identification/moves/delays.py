@@ -177,12 +177,14 @@ def leaves_traces(projection: FreeProjection) -> bool:
 def may_be_late(fit: FreeFit) -> bool:
     """Whether outputs may come late: beside noise that is far from white not where nothing is left of the inputs.
 
-    Lags and heavily damped modes stand for delays without a trace.
+    Lags and heavily damped modes stand for delays without a trace, and coloured noise for lags that come late.
     """
     p = fit.projection.p
     if fit.beside is not None:
         return errors_leave_traces(fit)
-    return not fit.noise or bool(np.any(-p.real > MIMICS * np.abs(p))) or leaves_traces(fit.projection)
+    if not fit.noise or not len(p) or np.any(-p.real > MIMICS * np.abs(p)):
+        return True
+    return leaves_traces(fit.projection)
 
 
 def errors_leave_traces(fit: FreeFit) -> bool:
