@@ -71,6 +71,17 @@ def test_a_lag_that_only_its_dead_time_tells_from_the_load_is_found():
     assert simulated_percent(result, u, x) > 50
 
 
+@pytest.mark.parametrize("seed", [4, 10])
+def test_noise_that_wanders_without_end_is_modelled(seed):
+    # its autoregression takes the constant away: what was there before has no value at 0 Hz
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(200)
+    wandering = np.cumsum(rng.standard_normal(200)) + 0.02 * np.arange(200) ** 1.5
+    y = np.convolve(u, 0.8 ** np.arange(40))[:200] + 0.3 * wandering
+    result = phc.pem((u, y), dt=1.0, quantity="free", offset=False)
+    assert np.min(np.abs(np.exp(result.poles) - 0.8)) < 0.1
+
+
 @pytest.mark.parametrize("a", [0.5, 0.9])
 def test_modes_beside_autoregressive_noise_have_errors_that_hold(a):
     poles = np.array([-0.01 + 0.6j, -0.02 + 1.4j])

@@ -181,6 +181,13 @@ class FreeSearch:
         return []
 
 
+def _unfiltered(spectrum: ComplexArray, b: Array, length: int) -> ComplexArray:
+    """Spectrum of what was filtered; nothing at bins that the filter takes away, as those of a drift."""
+    gain = np.fft.rfft(b, length)
+    kept = np.abs(gain) > length * EPS * np.abs(gain).max()
+    return np.asarray(np.divide(spectrum, gain, out=np.zeros_like(spectrum), where=kept))
+
+
 def explained_by_lags(
     rows: FreeRows, projection: FreeProjection, experiment: int, rates: Array, yielding: bool
 ) -> Array:
@@ -285,7 +292,7 @@ class Records(FreeSearch):
             rows = correlations([part[0] for _, part in seen], lengths)
             sums = rows
             if self.innovations and len(b := self.innovations[output]) > 1:
-                sums = correlations([part[0] / np.fft.rfft(b, length) for length, part in seen], lengths)
+                sums = correlations([_unfiltered(part[0], b, length) for length, part in seen], lengths)
             models, variances = autoregression(sums, min(lengths))
             share = sums[0] / rows[0] if rows[0] > 0 else 1.0
             orders.append(NoiseOrders(models, variances * share))
