@@ -493,12 +493,15 @@ BAD = {
     "two inputs": (lambda: phc.impulse_response(TWO, T3, input_indices=[0, 1]), r"input_indices is \[0, 1\]"),
     "named input": (lambda: phc.impulse_response(TWO, T3, input_indices="u[0]"), r"input_indices is 'u\[0\]'"),
     "no systems": (lambda: phc.step_response([], T3), "the list of systems is empty"),
-    "plain state space": (
-        lambda: phc.step_response(ct.ss(ONE), T3),
-        r"this is a StateSpace, not a lossless system of this package; convert it with ph\(sys\)",
+    "no system": (lambda: phc.step_response(2.0, T3), "this is a float; give a system of this package"),
+    "response data": (
+        lambda: phc.forced_response(ct.frd([1.0], [1.0]), T3),
+        "this is a FrequencyResponseData; give a system",
     ),
-    "transfer function": (lambda: phc.forced_response(ct.tf([1, 0], [1, 0, 1]), T3), "this is a TransferFunction"),
-    "one plain in a list": (lambda: phc.initial_response([ONE, ct.ss(ONE)], T3), "this is a StateSpace"),
+    "a rule for another system": (
+        lambda: phc.step_response(ct.ss(ONE), T3, method="euler"),
+        "method='euler' is for systems that ph",
+    ),
     "Euler overflow": (
         lambda: phc.step_response(ONE, 1e3 * np.arange(200), method="euler"),
         "with method='euler' and step 1000 the fastest mode grows by 2000 a step; use method='exact'",
@@ -582,3 +585,43 @@ def test_a_squeeze_that_is_no_flag_is_an_error(squeeze):
         phc.step_response(sys, np.linspace(0, 1, 5), squeeze=squeeze)
     with pytest.raises(phc.StructureError, match=r"squeeze is .*; it must be True or False"):
         phc.forced_response(sys, np.linspace(0, 1, 5), np.zeros(5), squeeze=squeeze)
+
+
+LAG = ct.tf([2.0], [3.0, 1.0], name="lag")
+
+
+def test_systems_of_any_kind_respond():
+    t = np.linspace(0.0, 9.0, 31)
+    decay = np.exp(-t / 3)
+    np.testing.assert_allclose(phc.step_response(LAG, t).outputs, 2 * (1 - decay), atol=1e-12)
+    np.testing.assert_allclose(phc.impulse_response(LAG, t).outputs, 2 / 3 * decay, atol=1e-12)
+    np.testing.assert_allclose(phc.initial_response(ct.ss(-1 / 3, 1.0, 2.0, 0.0), t, 0.5).outputs, decay, atol=1e-12)
+    free = phc.modes([-0.1 + 1.0j], [[1.0]], [[1.0]])
+    expected = phc.step_response(phc.ph(free), t).outputs
+    np.testing.assert_allclose(phc.step_response(free, t).outputs, expected, atol=1e-12)
+    assert phc.step_response(LAG).time[-1] > 9 and phc.step_response(LAG, 5.0, timepts_num=11).time.shape == (11,)
+
+
+@pytest.mark.parametrize("intersample", ["zoh", "foh"])
+def test_inputs_of_other_systems_are_held_or_interpolated(intersample):
+    plant, t = phc.modes([-0.1 + 1.0j, -0.4 + 2.0j], [[1.0], [0.7]], [[1.0], [0.3]]), 0.3 * np.arange(40.0)
+    u = np.random.default_rng(0).standard_normal(40)
+    expected = phc.forced_response(phc.ph(plant), t, u, intersample=intersample).outputs
+    np.testing.assert_allclose(phc.forced_response(plant, t, u, intersample=intersample).outputs, expected, atol=1e-12)
+    both = phc.forced_response([plant, phc.ph(plant)], t, u, intersample=intersample)
+    np.testing.assert_allclose(both[0].outputs, both[1].outputs, atol=1e-12)
+
+
+@pytest.mark.parametrize("rule", [("exact", "zoh"), ("exact", "foh"), ("midpoint", "foh"), ("euler", "zoh")])
+def test_other_systems_are_sampled_as_ours_are(rule):
+    plant = phc.modes([-0.1 + 1.0j, -0.4 + 2.0j], [[1.0], [0.7]], [[1.0], [0.3]])
+    method, intersample = rule
+    ours = phc.sample(phc.ph(plant), 0.2, method, intersample=intersample)
+    other = phc.sample(plant, 0.2, method, intersample=intersample, name="sampled")
+    z = np.exp(1j * np.linspace(0.1, 3.0, 9))
+    np.testing.assert_allclose(other(z), ours(z), rtol=1e-9)
+    assert other.name == "sampled" and other.dt == 0.2
+    with pytest.raises(phc.StructureError, match=r"dt=0\.2; give one in continuous time"):
+        phc.sample(ct.ss(other), 0.1)
+    with pytest.raises(phc.StructureError, match="is for systems that ph"):
+        phc.sample(plant, 0.2, "midpoint", intersample="zoh")

@@ -192,7 +192,7 @@ BAD = {
     "hold": (lambda: phc.ph(sampled_at(0.5), method="exact", intersample="linear"), "intersample is 'linear'"),
     "euler with foh": (lambda: phc.ph(sampled_at(0.5), method="euler", intersample="foh"), "must be 'zoh'"),
     "step": (lambda: phc.sample(phc.ph(np.eye(2), [0, 1]), -1.0), "h is -1.0; it must be one positive number"),
-    "plain": (lambda: phc.sample(ct.tf([1, 0], [1, 0, 1]), 0.1), "this is a TransferFunction, not a lossless system"),
+    "plain": (lambda: phc.sample(ct.frd([1.0], [1.0]), 0.1), "this is a FrequencyResponseData; give a system"),
     "sampled with foh by euler": (
         lambda: phc.sample(phc.ph(np.eye(2), [0, 1]), 0.1, "euler", intersample="foh"),
         "intersample must be 'zoh'",

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..exceptions import ResolutionWarning, StructureError
+from ..exceptions import ResolutionWarning
 from ..modal.discretization import INTERSAMPLE, Hold, check_method
 from ..systems.base import LosslessSystem, inherited_names
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian, warn_of_lost_digits
 from ..systems.dissipative import DissipativePortHamiltonian
+from .other_systems import as_system, sampled
 from .time_grid import listed, swing
 from .trajectories import check_finite, companion_step, modes_cancel, trajectory
 
@@ -22,12 +23,12 @@ Array = NDArray[np.float64]
 
 
 def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh", **names: Any) -> ct.StateSpace:
-    """Sample a lossless system: one step of an integrator as a discrete-time state space.
+    """Sample a system: one step of an integrator as a discrete-time state space.
 
     Parameters
     ----------
-    sys : PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian or AffineHamiltonian
-        System to sample.
+    sys : PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian, AffineHamiltonian; or any linear system
+        System to sample.  Those of python-control in continuous time are sampled by the formulas of scipy.
     h : float
         Sampling step, in the unit of time of the system.
     method : {'exact', 'midpoint', 'euler'}
@@ -47,7 +48,7 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
     Raises
     ------
     StructureError
-        If the system is not one of these, or `h` is not positive.
+        If the system is not one of these, `h` is not positive, or `method` is not for it.
 
     Warns
     -----
@@ -76,16 +77,14 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
     array([[ 0.,  1.],
            [-1.,  0.]])
     """
-    if not isinstance(sys, LosslessSystem):
-        raise StructureError(
-            f"this is a {type(sys).__name__}, not a lossless system of this package; convert it with ph(sys), or use "
-            "control.sample_system"
-        )
+    sys = as_system(sys)
     rule = Hold(
         _checks.sampling_step(h, name="h"),
         check_method(method),
         _checks.choice("intersample", intersample, INTERSAMPLE),
     )
+    if not isinstance(sys, LosslessSystem):
+        return sampled(sys, rule.h, method, intersample, names)
     if rule.method == "exact":
         _warn_of_aliases(np.sort(swing(sys.modes.mode_poles)), rule.h)
     _checks.signal_names(names, inputs=sys.ninputs, outputs=sys.noutputs, states=sys.nstates)

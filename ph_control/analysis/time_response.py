@@ -7,6 +7,7 @@ from functools import wraps
 from inspect import signature
 from typing import Any, TypeVar, cast
 
+import control as ct
 import numpy as np
 from control import TimeResponseData
 from control.timeresp import TimeResponseList
@@ -18,6 +19,7 @@ from ..exceptions import StructureError
 from ..modal.discretization import INTERSAMPLE, METHODS, Hold
 from ..modal.modal_form import imaginary
 from ..systems.base import LosslessSystem, in_normal_form
+from .other_systems import as_system, check_exact, held, instants_of
 from .time_grid import default_time_vector
 from .trajectories import check_finite, trajectory
 
@@ -72,7 +74,7 @@ def forced_response(
     Parameters
     ----------
     sysdata : PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian, AffineHamiltonian, or list of them
-        System to simulate.
+        System to simulate.  Any other `StateSpace` or `TransferFunction` is simulated by python-control.
     timepts : array_like, shape (T,)
         Equally spaced instants; default as in `step_response`.
     inputs : array_like, shape (T,) or (m, T), or a number
@@ -132,7 +134,14 @@ def forced_response(
             squeeze=squeeze, sysname=sys.name, trace_types=["forced"], plot_inputs=True,
         )  # fmt: skip
 
-    return _each(sysdata, run, timepts, None)
+    def of_other(sys: Any, t: Array) -> TimeResponseData:
+        u = _input_signal(inputs, sys.ninputs, t.size, transpose)
+        return ct.forced_response(
+            held(sys, t, intersample), t, u.T if transpose else u, initial_state, transpose=transpose,
+            return_states=return_states, squeeze=squeeze,
+        )  # fmt: skip
+
+    return _each(sysdata, run, of_other, method, timepts, None)
 
 
 @_with_aliases
@@ -156,7 +165,7 @@ def step_response(
     Parameters
     ----------
     sysdata : PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian, AffineHamiltonian, or list of them
-        System to simulate.
+        System to simulate.  Any other `StateSpace` or `TransferFunction` is simulated by python-control.
     timepts : array_like, shape (T,), or a number
         Equally spaced instants, or the last one.  By default 20 samples in the shortest period and 3 of the
         longest; where that would be more than 20 000 samples, a `ResolutionWarning` names the modes not shown.
@@ -203,7 +212,13 @@ def step_response(
         shown = input_indices, output_indices
         return _traces(sys, t, one, "Step", shown, method, intersample, transpose, squeeze, return_states)
 
-    return _each(sysdata, run, timepts, timepts_num)
+    def of_other(sys: Any, t: Array) -> TimeResponseData:
+        return ct.step_response(
+            sys, t, initial_state, input_indices, output_indices, transpose=transpose, return_states=return_states,
+            squeeze=squeeze,
+        )  # fmt: skip
+
+    return _each(sysdata, run, of_other, method, timepts, timepts_num)
 
 
 @_with_aliases
@@ -256,7 +271,12 @@ def impulse_response(
         shown = input_indices, output_indices
         return _traces(sys, t, one, "Impulse", shown, method, "zoh", transpose, squeeze, return_states)
 
-    return _each(sysdata, run, timepts, timepts_num)
+    def of_other(sys: Any, t: Array) -> TimeResponseData:
+        return ct.impulse_response(
+            sys, t, input_indices, output_indices, transpose=transpose, return_states=return_states, squeeze=squeeze
+        )
+
+    return _each(sysdata, run, of_other, method, timepts, timepts_num)
 
 
 @_with_aliases
@@ -312,25 +332,32 @@ def initial_response(
             return_x=bool(return_states), squeeze=squeeze, sysname=sys.name, trace_types=["initial"],
         )  # fmt: skip
 
-    return _each(sysdata, run, timepts, timepts_num)
+    def of_other(sys: Any, t: Array) -> TimeResponseData:
+        return ct.initial_response(
+            ct.ss(sys), t, initial_state, output_indices, transpose=transpose, return_states=return_states,
+            squeeze=squeeze,
+        )  # fmt: skip
+
+    return _each(sysdata, run, of_other, method, timepts, timepts_num)
 
 
-def _each(
-    sysdata: Any, run: Callable[[LosslessSystem, Array], TimeResponseData], timepts: Any, samples: int | None
-) -> Any:
-    """Run one system, or each of a list on common instants."""
+Run = Callable[[Any, Array], TimeResponseData]
+
+
+def _each(sysdata: Any, run: Run, of_other: Run, method: str, timepts: Any, samples: int | None) -> Any:
+    """Run one system, or each of a list on common instants: those of the package, or others."""
     several = isinstance(sysdata, list | tuple)
-    systems = list(sysdata) if several else [sysdata]
-    if not systems:
+    if several and not sysdata:
         raise StructureError("the list of systems is empty; give at least one")
-    for sys in systems:
-        if not isinstance(sys, LosslessSystem):
-            raise StructureError(
-                f"this is a {type(sys).__name__}, not a lossless system of this package; convert it with ph(sys), or "
-                "use the function of the same name of python-control"
-            )
-    t = _instants(systems, timepts, samples)
-    return TimeResponseList([run(sys, t.copy()) for sys in systems]) if several else run(sys, t)
+    systems = [as_system(sys) for sys in (sysdata if several else [sysdata])]
+    others = [not isinstance(sys, LosslessSystem) for sys in systems]
+    if any(others):
+        check_exact(method)
+    known = [sys for sys, other in zip(systems, others, strict=True) if not other]
+    t = _instants(known, timepts, samples) if known else instants_of(systems, timepts, samples)
+    runs = [of_other if other else run for other in others]
+    responses = [each(sys, t.copy()) for each, sys in zip(runs, systems, strict=True)]
+    return TimeResponseList(responses) if several else responses[0]
 
 
 def _visible(sys: LosslessSystem) -> ComplexArray:

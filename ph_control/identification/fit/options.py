@@ -82,7 +82,7 @@ def _checked_order(order: Any, real_poles: int | str) -> int | str:
     modes = _checks.whole_number("order", order, 0 if real_poles else 1)
     if not modes and real_poles == "auto":
         raise StructureError(
-            "order is 0; it must be a whole number of at least 1, or 0 with a number of real poles: real_poles=1 for a lag"
+            "order is 0; it must be a whole number of at least 1, or 0 with real_poles=1 for a lag, or more of them"
         )
     return modes
 

@@ -98,7 +98,7 @@ def _telling_bins(evaluation: LikelihoodEvaluation, plant: Indices, root: Array)
 def _slopes(evaluation: LikelihoodEvaluation, bins: _Bins, covariance: Array) -> Iterator[ComplexArray]:
     """Matrices `E` (bins, p, p) of directions of the noise that have covariance 1: gains and shapes, then sizes."""
     p, N = evaluation.point.noise.C.shape
-    L: Array = np.linalg.cholesky(evaluation.covariance)
+    L = np.asarray(np.linalg.cholesky(evaluation.covariance), float)
     values, vectors = np.linalg.eigh(covariance)
     kept = values > _RULE * values.max(initial=0.0)
     directions = vectors[:, kept] * np.sqrt(values[kept])

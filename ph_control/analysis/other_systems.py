@@ -1,0 +1,74 @@
+"""Time responses and samples of systems of other kinds, by python-control."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import control as ct
+import numpy as np
+from scipy.signal import cont2discrete
+
+from .. import _checks
+from .._types import Array
+from ..exceptions import StructureError
+from ..modal.discretization import INTERSAMPLE
+from ..modal.general_form import GeneralModalForm
+from ..modal.modal_form import ModalForm
+from ..systems.base import LosslessSystem, inherited_names
+from ..systems.port_hamiltonian import ph
+
+# of scipy: what is integrated, and what inputs do in between
+_RULES = {("exact", "zoh"): "zoh", ("exact", "foh"): "foh", ("midpoint", "foh"): "bilinear", ("euler", "zoh"): "euler"}
+
+
+def as_system(sys: Any) -> Any:
+    """A linear system: one of this package, or another of python-control; modal forms become one or the other."""
+    if isinstance(sys, GeneralModalForm):
+        return sys.state_space()
+    if isinstance(sys, ModalForm):
+        return ph(sys)
+    if isinstance(sys, LosslessSystem | ct.StateSpace | ct.TransferFunction):
+        return sys
+    raise StructureError(
+        f"this is a {type(sys).__name__}; give a system of this package, or a StateSpace or TransferFunction"
+    )
+
+
+def check_exact(method: str) -> None:
+    """Refuse rules of integration that are for systems of this package."""
+    if method != "exact":
+        raise StructureError(
+            f"method={method!r} is for systems that ph(sys) makes; others are solved exactly: leave it out"
+        )
+
+
+def instants_of(systems: Sequence[Any], timepts: Any, samples: int | None) -> Array:
+    """Instants that python-control chooses for systems, the longest of these; or those that are given."""
+    if timepts is not None and np.ndim(timepts) > 0:
+        return _checks.real_array("the time vector", timepts, 1)
+    times = [np.asarray(ct.step_response(sys, timepts, timepts_num=samples).time, float) for sys in systems]
+    return max(times, key=lambda t: float(t[-1]))
+
+
+def held(sys: Any, t: Array, intersample: str) -> Any:
+    """A system whose inputs are held between instants, where they are."""
+    _checks.choice("intersample", intersample, INTERSAMPLE)
+    if intersample == "foh" or not sys.isctime() or len(t) < 2:
+        return sys
+    return ct.sample_system(ct.ss(sys), _checks.time_step(t) or 1.0, "zoh")
+
+
+def sampled(sys: Any, h: float, method: str, intersample: str, names: dict[str, Any]) -> ct.StateSpace:
+    """A system of another kind as a discrete-time state space, by the rule of python-control that is the same."""
+    rule = _RULES.get((method, intersample))
+    if rule is None:
+        raise StructureError(
+            f"method={method!r} with intersample={intersample!r} is for systems that ph(sys) makes; others have "
+            + ", ".join(f"{first} with {second}" for first, second in _RULES)
+        )
+    if not sys.isctime():
+        raise StructureError(f"the system has dt={sys.dt!r}; give one in continuous time")
+    system = ct.ss(sys)
+    A, B, C, D, _ = cont2discrete((system.A, system.B, system.C, system.D), h, rule)
+    return ct.ss(A, B, C, D, h, **inherited_names(system, names, "inputs", "outputs"))
