@@ -10,7 +10,7 @@ fades as the correlation of the window does, and peaks are broader than those of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -46,7 +46,7 @@ class SpectralWindow:
     """
 
     name: str
-    values: Array
+    values: Array = field(repr=False)
     step: float
     hold: str
     shift: int

@@ -65,7 +65,7 @@ def _of_modes_and_inputs(
             free_fit, channels, quantities=request.quantities, intersample=options.intersample, offset=options.offset,
             max_order=options.max_order, criterion=options.criterion, weighted=options.weighted,
             real_poles=options.real_poles, method=options.method, delay=options.delay, input_delay=options.input_delay,
-            white=options.noise in ("white", *KINDS), beside=partial(_in_noise_of, options.noise),
+            white=options.noise in ("white", *KINDS), beside=partial(_in_noise_of, options.noise, request.structure),
             reports=reporter(options.largest, options.callback),
         )  # fmt: skip
 
@@ -100,15 +100,18 @@ def _of_modes_and_inputs(
 # --- the search ------------------------------------------------------------------------------------------------------
 
 
-def _in_noise_of(noise: str, fit: FreeFit, orders: Orders) -> FreeFit:
-    """A fit in the noise that is given, or the likeliest; where hits act in a part of a record, noise may change."""
+def _in_noise_of(noise: str, structure: str, fit: FreeFit, orders: Orders) -> FreeFit:
+    """A fit in the noise that is given, or the likeliest; where hits act in a part of a record, noise may change.
+
+    Through a plant that is given as lossless forces that nobody measured would make motion without end.
+    """
     records = [rows for rows in fit.projection.experiments if isinstance(rows, FreeRecord)]
     if any(rows.level is not None for rows in records):
         return fit
     if noise == "auto":
         if any(is_short(rows) for rows in records):
             return fit
-        return beside_forces(fit, orders=orders)
+        return beside_forces(fit, KINDS[:1] if structure == "lossless" else KINDS, orders=orders)
     return beside_forces(fit, (noise,), certain=True, orders=orders) if noise in KINDS else fit
 
 
