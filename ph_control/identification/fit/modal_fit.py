@@ -48,7 +48,7 @@ def fit_channels(
         limited = replace(options, max_order=min(most, options.max_order))
         return _of_modes_and_inputs(channels, request, limited, start, findings, order)
 
-    if not are_alone(channels, request.structure, options):
+    if request.function is not None or not are_alone(channels, request.structure, options):
         return of_modes()
     recordings = [data for data in channels if isinstance(data, Recording)]
     return of_outputs_alone(recordings, request, options, order, of_modes)
