@@ -7,6 +7,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ..._types import Array, ComplexArray, Indices
 from ...numerics.mode_shapes import mac
+from .physical_modes import PhysicalModes
 
 _UNLIKE = 0.5  # logarithm of a ratio of frequencies that counts as much as shapes that have nothing in common
 
@@ -38,3 +39,22 @@ def paired(
     assurance = np.full(len(frequencies), np.nan)
     assurance[mine] = alike[mine, its]
     return places, assurance
+
+
+def followed(before: PhysicalModes, after: PhysicalModes) -> PhysicalModes:
+    """Modes in the order of those of neighbouring parameters; as they were where poles turned real, or complex."""
+    order = np.empty(len(before.poles), int)
+    for mine, others in (
+        (np.flatnonzero(before.real), np.flatnonzero(after.real)),
+        (np.flatnonzero(~before.real), np.flatnonzero(~after.real)),
+    ):
+        if len(mine) != len(others):
+            return before
+        order[mine] = others[_nearest(before.poles[mine], after.poles[others])]
+    return after.among(order)
+
+
+def _nearest(before: ComplexArray, after: ComplexArray) -> Indices:
+    """Place of each pole among others that are so near that each has one."""
+    distance = np.abs(before[:, None] - after[None])
+    return np.asarray(linear_sum_assignment(distance)[1], int)

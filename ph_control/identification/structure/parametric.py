@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from ..._types import Array, ComplexArray, Indices
 from ...exceptions import StructureError
@@ -23,7 +22,7 @@ from ..data.windowed import crossed_scores, share_errors
 from ..diagnosis.verdict import HypothesisTest
 from ..parameters.fitted_parameters import FittedParameters, Information, named_combination
 from ..parameters.model_function import ModelFunction
-from ..parameters.pairing import paired
+from ..parameters.pairing import followed, paired
 from ..parameters.physical_modes import PhysicalModes
 from ..parameters.rows import RowsLeft, energies, left_of_all, of_modes
 from ..regression.free import FreeProjection, GivenResidues, refine_free
@@ -491,9 +490,9 @@ def _slopes(
     slopes = np.zeros((len(known), len(scale)))
     own = [np.zeros((*part.own.shape, len(scale))) for part in left]
     for k, (step, model) in enumerate(point.near):
-        followed = _followed(point.model, model)
-        parts = problem.left(followed)
-        moved = ParametricProjection(problem.free.projection, followed, problem.layout, parts)
+        neighbour = followed(point.model, model)
+        parts = problem.left(neighbour)
+        moved = ParametricProjection(problem.free.projection, neighbour, problem.layout, parts)
         slopes[:, k] = (_numbers(moved) - known) / step * scale[k]
         for slope, before, after in zip(own, left, parts, strict=True):
             slope[:, :, k] = (after.own - before.own) / step * scale[k]
@@ -503,25 +502,6 @@ def _slopes(
 def _numbers(projection: FreeProjection) -> Array:
     """Poles and shared unknowns of a model."""
     return np.concatenate([projection.pole_parts, projection.shared.T.ravel()])
-
-
-def _followed(before: PhysicalModes, after: PhysicalModes) -> PhysicalModes:
-    """Modes in the order of those of neighbouring parameters; as they were where poles turned real, or complex."""
-    order = np.empty(len(before.poles), int)
-    for mine, others in (
-        (np.flatnonzero(before.real), np.flatnonzero(after.real)),
-        (np.flatnonzero(~before.real), np.flatnonzero(~after.real)),
-    ):
-        if len(mine) != len(others):
-            return before
-        order[mine] = others[_nearest(before.poles[mine], after.poles[others])]
-    return after.among(order)
-
-
-def _nearest(before: ComplexArray, after: ComplexArray) -> Indices:
-    """Place of each pole among others that are so near that each has one."""
-    distance = np.abs(before[:, None] - after[None])
-    return np.asarray(linear_sum_assignment(distance)[1], int)
 
 
 # --- the test --------------------------------------------------------------------------------------------------------
