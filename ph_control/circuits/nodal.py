@@ -115,14 +115,16 @@ def read_netlist(
     (['q_C1', 'phi_L1'], array([50329.2]))
     >>> circuit.damping_ratios.round(4)
     array([0.0791])
-    >>> text = "\\n".join(["V1 1 0", "R1 1 2 50", "L1 2 3 1m", "C1 3 0 10n", ".end"])
-    >>> resonator = phc.read_netlist(text, parameters=["R1", "C1"])
+    >>> resonator = phc.read_netlist('''V1 1 0
+    ... R1 1 2 50
+    ... L1 2 3 1m
+    ... C1 3 0 10n''', parameters=["R1", "C1"])
     >>> resonator.values, resonator([50.0, 40e-9]).hertz.round(1)
     (array([5.e+01, 1.e-08]), array([25164.6]))
     """
     text, name = content_of(source)
     elements = elements_of(text, name)
-    return _system(elements, names) if parameters is None else NetlistFunction.of(elements, parameters, names)
+    return _system(elements, names) if parameters is None else _opened(elements, parameters, names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +145,9 @@ class NetlistFunction(Frozen):
     Examples
     --------
     >>> import ph_control as phc
-    >>> low_pass = phc.read_netlist("V1 1 0\\nR1 1 2 1k\\nC1 2 0 1u", parameters=["R1", "C1"])
+    >>> low_pass = phc.read_netlist('''V1 1 0
+    ... R1 1 2 1k
+    ... C1 2 0 1u''', parameters=["R1", "C1"])
     >>> low_pass.names, low_pass([2000.0, 1e-6]).poles().real
     (('R1', 'C1'), array([-500.]))
     """
@@ -154,24 +158,6 @@ class NetlistFunction(Frozen):
     _places: tuple[int, ...] = field(repr=False)
     _labels: dict[str, Any] = field(repr=False)
 
-    @classmethod
-    def of(cls, elements: Sequence[Element], parameters: Any, labels: dict[str, Any]) -> NetlistFunction:
-        """Leave the values of some elements open."""
-        if isinstance(parameters, str) or not all(isinstance(name, str) for name in parameters):
-            raise StructureError(f"parameters are {_checks.shown(parameters)}; they must be names of elements, ['R1', ..]")
-        known = {element.name.upper(): k for k, element in enumerate(elements) if element.letter in _VALUED}
-        wanted = [name.upper() for name in parameters]
-        missing = [name for name, upper in zip(parameters, wanted, strict=True) if upper not in known]
-        if missing or not wanted or len(set(wanted)) < len(wanted):
-            what = f"there is no {missing[0]!r}" if missing else "they must be different, and one at least"
-            raise StructureError(
-                f"parameters are {_checks.shown(list(parameters))}: {what}; elements with a value are "
-                f"{', '.join(elements[k].name for k in known.values()) or 'none'}"
-            )
-        places = tuple(known[name] for name in wanted)
-        values = _checks.readonly(np.array([elements[k].value for k in places]))
-        return cls(tuple(elements[k].name for k in places), values, tuple(elements), places, labels)
-
     def __call__(self, theta: ArrayLike) -> DissipativePortHamiltonian:
         """System of the circuit with these values, shape (P,)."""
         values = _checks.real_array("theta", theta)
@@ -181,11 +167,27 @@ class NetlistFunction(Frozen):
         for k, name, value in zip(self._places, self.names, values.tolist(), strict=True):
             element = elements[k]
             if not (value > 0 or element.letter == "K") or abs(value) > (1 if element.letter == "K" else np.inf):
-                raise StructureError(
-                    f"{name} is {value:.6g}; R, L and C must be positive, and couplings from -1 to 1"
-                )
+                raise StructureError(f"{name} is {value:.6g}; R, L and C must be positive, and couplings from -1 to 1")
             elements[k] = replace(element, value=value)
         return _system(elements, dict(self._labels))
+
+
+def _opened(elements: Sequence[Element], parameters: Any, labels: dict[str, Any]) -> NetlistFunction:
+    """A circuit with the values of some elements left open."""
+    if isinstance(parameters, str) or not all(isinstance(name, str) for name in parameters):
+        raise StructureError(f"parameters are {_checks.shown(parameters)}; they must be names of elements, ['R1', ..]")
+    known = {element.name.upper(): k for k, element in enumerate(elements) if element.letter in _VALUED}
+    wanted = [name.upper() for name in parameters]
+    missing = [name for name, upper in zip(parameters, wanted, strict=True) if upper not in known]
+    if missing or not wanted or len(set(wanted)) < len(wanted):
+        what = f"there is no {missing[0]!r}" if missing else "they must be different, and one at least"
+        raise StructureError(
+            f"parameters are {_checks.shown(list(parameters))}: {what}; elements with a value are "
+            f"{', '.join(elements[k].name for k in known.values()) or 'none'}"
+        )
+    places = tuple(known[name] for name in wanted)
+    values = _checks.readonly(np.array([elements[k].value for k in places]))
+    return NetlistFunction(tuple(elements[k].name for k in places), values, tuple(elements), places, labels)
 
 
 def _system(elements: Sequence[Element], names: dict[str, Any]) -> DissipativePortHamiltonian:

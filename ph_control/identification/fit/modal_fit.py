@@ -88,7 +88,8 @@ def _of_modes_and_inputs(
         free = free if free.rival is None or free.intersample == result.intersample else free.rival
         free = _of_modes(free, imaginary(result.d[result.kappa > 0]))
         result = _structured(free, request, findings)
-    if free.beside is not None and options.noise == "auto" and is_refused(request.structure, result.tests):
+    given = request.function is None and options.noise == "auto"
+    if free.beside is not None and given and is_refused(request.structure, result.tests):
         # what such a model leaves is no noise, and its distance from the likeliest is no small one
         try:
             return _of_modes_and_inputs(channels, request, replace(options, noise="white"), start, findings, order)

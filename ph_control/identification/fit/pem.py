@@ -184,9 +184,9 @@ def pem(
     O(T n^2) an iteration; memory does not grow with T n.
 
     With a `model` the loss is minimised over its parameters by Levenberg and Marquardt's method in the rows of the free
-    fit: same hold, delay, constants, noise, and weights.  All outputs of a record share the state that it begins in, and
-    responses have no background: a model has all modes.  Derivatives are differences, of relative steps of a fiftieth of
-    a standard error; the function is called 20 times for each parameter at most.  `result.parameters`,
+    fit: same hold, delay, constants, noise, and weights.  All outputs of a record share the state that it begins in,
+    and responses have no background: a model has all modes.  Derivatives are differences, of steps of a fiftieth of a
+    standard error; the function is called 20 times for each parameter at most.  `result.parameters`,
     `stderr["parameters"]`, `fitted_parameters.correlations`; the first of the `tests`, 'parametric', is that of the
     function.  Combinations of parameters that leave no trace, and parameters at a bound, are among the `findings`.
 

@@ -152,8 +152,8 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
     stderr : mapping
         Standard errors under the keys 'natural_frequencies', 'hertz', 'damping_ratios', 'real_poles',
         'time_constants', 'residues', 'shapes', 'feedthrough', 'delay', 'offset', 'd', and where they mean something
-        'r', 'kappa', 'initial_state' and 'parameters'; those of complex numbers are complex, of real and imaginary part.  NaN for
-        what was not estimated, infinite for what the input does not show.
+        'r', 'kappa', 'initial_state' and 'parameters'; those of complex numbers are complex, of real and imaginary
+        part.  NaN for what was not estimated, infinite for what the input does not show.
 
     Examples
     --------
@@ -269,8 +269,8 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
         """Parameters of the model function, shape (P,)."""
         if self.fitted_parameters is None:
             raise NoSuchQuantityError(
-                "this fit has modes and no physical parameters; pem(data, model=f, parameters=theta0) estimates those of "
-                "a function f"
+                "this fit has modes and no physical parameters; pem(data, model=f, parameters=theta0) estimates those "
+                "of a function f"
             )
         return self.fitted_parameters.values
 
@@ -384,7 +384,11 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
             known_as = {"inputs": _checks.without_dots(self.input_labels),
                         "outputs": _checks.without_dots(self.output_labels)}  # fmt: skip
             return with_unit(PortHamiltonian._from_modes(self.modes, **known_as), self.time_unit)
-        if self.structure in ("free", PARAMETRIC) or sorted(inputs) != list(range(len(self.input_labels))) or not inputs:
+        if (
+            self.structure in ("free", PARAMETRIC)
+            or sorted(inputs) != list(range(len(self.input_labels)))
+            or not inputs
+        ):
             return self.observed_system
         ports = sorted(self.ports, key=lambda port: port[1])
         velocities = [o for o, _ in ports]
@@ -572,7 +576,11 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
             warnings.simplefilter("ignore", ConditioningWarning)
             for poles, residues, through in zip(draws.poles, draws.residues, draws.feedthrough, strict=True):
                 drawn = replace(self, poles=poles, residues=residues, feedthrough=through)
-                active = self.structure not in ("free", PARAMETRIC) and ported and not isinstance(drawn.system, PortHamiltonian)
+                active = (
+                    self.structure not in ("free", PARAMETRIC)
+                    and ported
+                    and not isinstance(drawn.system, PortHamiltonian)
+                )
                 systems.append(nearest_passive(drawn, weight="h2") if active else drawn.system)
         return systems
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..._frozen import Frozen
 from ..._types import Array
 
-_SHOWN = 1e-10  # of the largest eigenvalue of the information in relative units: below, a combination leaves no trace
+_SHOWN = 1e-6  # of the largest singular value of columns of unit length: below, a combination leaves no trace
 HIDDEN_SHARE = 1e-3  # of a combination: a parameter that belongs to it
 _NAMED = 0.1  # of the largest share in a combination: from there on a parameter is named
 
@@ -33,6 +33,19 @@ class FittedParameters(Frozen):
         Combinations of relative changes, of unit length, that leave no trace.
     evaluations : int
         How often the function was called.
+
+    Examples
+    --------
+    >>> import control as ct, numpy as np, ph_control as phc
+    >>> rng = np.random.default_rng(0)
+    >>> def lag(theta):
+    ...     return ct.tf([theta[0]], [theta[1], 1.0])
+    >>> u = rng.standard_normal(500)
+    >>> y = ct.forced_response(ct.c2d(lag([2.0, 0.5]), 0.1), 0.1 * np.arange(500), u).outputs
+    >>> y = y + 0.01 * rng.standard_normal(500)
+    >>> result = phc.pem((u, y), dt=0.1, model=lag, parameters={"gain": 1.0, "time constant": 1.0}, quantity="free")
+    >>> result.fitted_parameters.names, result.fitted_parameters.values.round(2)
+    (('gain', 'time constant'), array([2. , 0.5]))
     """
 
     names: tuple[str, ...]
@@ -59,7 +72,7 @@ class FittedParameters(Frozen):
 
 
 @dataclass(frozen=True)
-class Information:
+class ParameterInformation:
     """What data show of parameters: the Gram matrix of whitened residuals by relative changes, of the `free` ones.
 
     Attributes
@@ -77,24 +90,41 @@ class Information:
     rank: int
 
     @classmethod
-    def of(cls, jacobian: Array, free: Array) -> Information:
+    def of(cls, jacobian: Array, free: Array) -> ParameterInformation:
         """Information of a Jacobian (N, P), parameters that are not free held."""
         P, places = jacobian.shape[1], np.flatnonzero(free)
         J = jacobian[:, places]
-        _, s, V = np.linalg.svd(np.linalg.qr(J, mode="r"), full_matrices=True)
+        lengths = np.linalg.norm(J, axis=0)
+        lengths = np.where(lengths > _SHOWN**2 * lengths.max(initial=0.0), lengths, np.inf)
+        _, s, V = np.linalg.svd(np.linalg.qr(J / lengths, mode="r"), full_matrices=True)
         s = np.concatenate([s, np.zeros(len(places) - len(s))])
-        shown = s > np.sqrt(_SHOWN) * s.max(initial=np.finfo(float).tiny)
+        shown = s > _SHOWN * s.max(initial=np.finfo(float).tiny)
         inverse = np.zeros((P, P))
-        root = V[shown].T / s[shown]
+        root = V[shown].T / s[shown] / lengths[:, None]
         inverse[np.ix_(places, places)] = root @ root.T
         hidden = np.zeros((int((~shown).sum()), P))
-        hidden[:, places] = V[~shown]
+        turned = V[~shown] / np.where(np.isinf(lengths), 1.0, lengths)
+        hidden[:, places] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
         return cls(inverse, hidden, int(shown.sum()))
 
     @property
     def seen(self) -> Array:
         """Which parameters belong to no combination without a trace."""
         return np.asarray(~np.any(np.abs(self.hidden) > HIDDEN_SHARE, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class ParametricPoint:
+    """Covariance of poles and shared unknowns, by the parameters."""
+
+    slopes: Array
+    spread: Array
+    excess: float | None = None
+    deficiency: int = 0
+
+    def covariance(self, variance: float) -> Array:
+        """In the coordinates of `FreeProjection.covariance`."""
+        return np.asarray(self.slopes @ (variance * self.spread) @ self.slopes.T)
 
 
 def named_combination(direction: Sequence[float], names: Sequence[str]) -> str:

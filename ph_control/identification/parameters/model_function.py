@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +16,7 @@ from .physical_modes import PhysicalModes, modes_of_system
 CALLS = 20  # of the function for each parameter, at most
 _STEP = 1e-6  # of a parameter, where nothing is known of its error
 _STEPS = 1e-8, 1e-4  # smallest and largest such step
+_LEAST, _SMALL = 0.2, 1e-3  # part of a parameter that a step leaves, and of its scale, below which it may cross 0
 _OF_ERROR = 0.02  # standard errors of a step
 
 
@@ -115,6 +116,15 @@ class ModelFunction:
         """Parameters brought within their bounds."""
         return np.clip(theta, self.lower, self.upper)
 
+    def stepped(self, theta: Array, step: Array) -> Array:
+        """Parameters after a step in units of their scale, within their bounds.
+
+        None changes its sign in one step unless it is small: stiffness and resistance stay positive.
+        """
+        moved = theta + self.scale * step
+        across = (moved * theta < _LEAST * theta**2) & (np.abs(theta) > _SMALL * self.scale)
+        return self.inside(np.where(across, _LEAST * theta, moved))
+
     def at_bound(self, theta: Array) -> Mask:
         """Which parameters are at a bound."""
         return (theta <= self.lower) | (theta >= self.upper)
@@ -140,6 +150,16 @@ class ModelFunction:
             moved[k] += step
             near.append((float(moved[k] - theta[k]), self.modes(moved)))
         return near
+
+    def opposite(self, theta: Array, near: Sequence[tuple[float, PhysicalModes]]) -> list[tuple[float, PhysicalModes]]:
+        """The same with steps the other way, as far as bounds allow."""
+        other = []
+        for k, (step, model) in enumerate(near):
+            moved = theta.copy()
+            moved[k] -= step
+            inside = self.lower[k] <= moved[k] <= self.upper[k]
+            other.append((float(moved[k] - theta[k]), self.modes(moved)) if inside else (step, model))
+        return other
 
     def _called(self, theta: Array) -> PhysicalModes:
         self.calls += 1

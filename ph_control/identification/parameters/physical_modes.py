@@ -3,7 +3,8 @@
     y = D u + sum_l 2 Re(c_l x_l) + sum_r c_r x_r,      x' = p x + b^T u,
 
 pairs of poles by those in the upper half-plane, real poles by themselves.  Poles that no well-conditioned
-transformation parts, as those of a rigid body or of critical damping, are moved apart so little that no record shows it.
+transformation parts, as those of a rigid body or of critical damping, are moved apart so little that no record shows
+it.
 """
 
 from __future__ import annotations

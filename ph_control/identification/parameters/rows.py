@@ -122,9 +122,7 @@ class _Motion:
     constant_columns: Array
 
     @classmethod
-    def of(
-        cls, rows: FreeRecord, model: PhysicalModes, scales: Array, data: Array, constants: Array
-    ) -> _Motion:
+    def of(cls, rows: FreeRecord, model: PhysicalModes, scales: Array, data: Array, constants: Array) -> _Motion:
         n = len(model.poles) * rows.moving
         c = model.shapes[:n][:, rows.outputs].T / scales[rows.outputs][:, None]
         c = c * np.where(model.real[:n], 1.0, 2.0)
@@ -229,7 +227,7 @@ def energies(experiments: Sequence[FreeRows], model: PhysicalModes, scales: Arra
             signal = of_modes(rows, model, np.array([k]), scales, mine)
             if isinstance(rows, FreeRecord):
                 total[k] += float(np.sum(_in_rows(rows, signal) ** 2))
-            else:
+            elif isinstance(rows, FreeResponse):
                 total[k] += float(np.sum(np.abs(rows.in_rows(signal)) ** 2))
     return total
 

@@ -2,8 +2,8 @@
 
     min  (m - m(theta))^T C^-1 (m - m(theta))
 
-over frequencies, damping ratios, and residues or shapes of the modes that were fitted; nothing is expanded to degrees of
-freedom that were not measured.
+over frequencies, damping ratios, and residues or shapes of the modes that were fitted; nothing is expanded to degrees
+of freedom that were not measured.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ..._units import hertz_size
 from ...exceptions import StructureError
 from ...numerics.mode_shapes import mac
 from ..uncertainty.draws import normal_interval
-from .fitted_parameters import FittedParameters, Information, named_combination
+from .fitted_parameters import FittedParameters, ParameterInformation, named_combination
 from .model_function import ModelFunction
 from .pairing import followed, paired
 from .physical_modes import PhysicalModes
@@ -171,8 +171,8 @@ def update_model(
     bounds : pair of array_like, optional
         Lower and upper bounds of the parameters, numbers or vectors (P,).
     quantities : sequence of {'natural_frequencies', 'damping_ratios', 'residues', 'shapes'}, optional
-        What is compared.  Default: frequencies; of a model with losses damping ratios; residues where model and fit have
-        the same inputs and the model has losses, and else shapes, of any scale.
+        What is compared.  Default: frequencies; of a model with losses damping ratios; residues where model and fit
+        have the same inputs and the model has losses, and else shapes, of any scale.
     outputs : sequence of int or str, optional
         Which outputs of the model were measured, in the order of the fit; by default all, or those of the same labels.
     modes : sequence of int, optional
@@ -216,7 +216,7 @@ def update_model(
     True
     """
     function = ModelFunction.checked(f, theta0, bounds)
-    target = _Target.of(result, function, quantities, outputs, modes)
+    target = _FittedTarget.of(result, function, quantities, outputs, modes)
     spread = None
     if prior is not None:
         spread = np.broadcast_to(_checks.real_array("prior", prior), function.start.shape)
@@ -226,7 +226,7 @@ def update_model(
 
 
 @dataclass(frozen=True)
-class _Target:
+class _FittedTarget:
     """Fitted modes, and what turns their distance from computed ones into numbers of variance 1."""
 
     poles: ComplexArray
@@ -239,7 +239,7 @@ class _Target:
     time_unit: str | None
 
     @classmethod
-    def of(cls, result: Any, function: ModelFunction, quantities: Any, outputs: Any, modes: Any) -> _Target:
+    def of(cls, result: Any, function: ModelFunction, quantities: Any, outputs: Any, modes: Any) -> _FittedTarget:
         """Take what is compared from a fit, and check that the model has it."""
         for name in ("poles", "residues", "covariance", "shapes", "shape_stderr", "order"):
             if not hasattr(result, name):
@@ -407,11 +407,11 @@ def _measured_outputs(plant: Any, result: Any, outputs: Any) -> Indices:
 
 
 @dataclass(frozen=True, eq=False)
-class _Step:
+class _UpdateStep:
     """Parameters, the modes there, and the distance from the fit."""
 
     function: ModelFunction
-    target: _Target
+    target: _FittedTarget
     theta: Array
     prior: Array | None
 
@@ -442,8 +442,19 @@ class _Step:
     @cached_property
     def jacobian(self) -> Array:
         """Derivatives by relative changes of the parameters."""
+        return self._slopes(self.function.neighbours(self.theta))
+
+    @property
+    def sharp(self) -> Array:
+        """The same by differences to both sides where calls are left: what leaves no trace leaves none there."""
+        near, function = self.function.neighbours(self.theta), self.function
+        if function.calls + len(self.theta) > function.most:
+            return self.jacobian
+        return 0.5 * (self.jacobian + self._slopes(function.opposite(self.theta, near)))
+
+    def _slopes(self, near: Sequence[tuple[float, PhysicalModes]]) -> Array:
         columns, known = [], self.target.numbers(self.model, self.pairs[0])
-        for k, (step, model) in enumerate(self.function.neighbours(self.theta)):
+        for k, (step, model) in enumerate(near):
             moved = self.target.numbers(followed(self.model, model), self.pairs[0])
             theta = self.theta.copy()
             theta[k] += step
@@ -452,9 +463,9 @@ class _Step:
         return np.stack(columns, axis=1) * self.function.scale
 
 
-def _updated(function: ModelFunction, target: _Target, prior: Array | None) -> ModelUpdate:
+def _updated(function: ModelFunction, target: _FittedTarget, prior: Array | None) -> ModelUpdate:
     """Gauss-Newton steps, halved where they lead up."""
-    first = step = _Step(function, target, function.start, prior)
+    first = step = _UpdateStep(function, target, function.start, prior)
     if np.any(first.pairs[0] < 0):
         raise StructureError(
             f"the model has {int(np.sum(~first.model.real))} modes and the fit {len(target.poles)}: let the model have "
@@ -476,18 +487,18 @@ def _updated(function: ModelFunction, target: _Target, prior: Array | None) -> M
     return _report(first, step, success)
 
 
-def _free(step: _Step) -> Any:
+def _free(step: _UpdateStep) -> Any:
     """Which parameters are not pushed across a bound."""
     slope = step.jacobian.T @ step.residual
     function = step.function
     return ~(((step.theta <= function.lower) & (slope > 0)) | ((step.theta >= function.upper) & (slope < 0)))
 
 
-def _shortened(step: _Step, move: Array) -> _Step | None:
+def _shortened(step: _UpdateStep, move: Array) -> _UpdateStep | None:
     """A step that leads down; None if there is none."""
     function, part = step.function, min(1.0, 0.5 / max(np.abs(move).max(initial=0.0), 1e-300))
     for _ in range(12):
-        theta = function.inside(step.theta + part * function.scale * move)
+        theta = function.stepped(step.theta, part * move)
         if function.is_spent or np.array_equal(theta, step.theta):
             return None
         trial = replace(step, theta=theta)
@@ -500,10 +511,10 @@ def _shortened(step: _Step, move: Array) -> _Step | None:
     return None
 
 
-def _report(first: _Step, last: _Step, success: bool) -> ModelUpdate:
+def _report(first: _UpdateStep, last: _UpdateStep, success: bool) -> ModelUpdate:
     function, target = first.function, first.target
     free = _free(last) if not function.is_spent else np.ones(len(function.start), bool)
-    information = Information.of(last.jacobian, free)
+    information = ParameterInformation.of(last.sharp, free)
     scale = np.outer(function.scale, function.scale)
     shown = free & information.seen
     covariance = np.where(np.outer(shown, shown), information.inverse, np.nan) * scale

@@ -406,7 +406,9 @@ def _of_fewer_modes(finding: Finding, terms: _Terms) -> str:
 
 
 def _of_parameter_bound(finding: Finding, terms: _Terms) -> str:
-    return f"{finding.output} ended at its bound {finding.values[0]:.6g}, and is held there: others have their errors so."
+    return (
+        f"{finding.output} ended at its bound {finding.values[0]:.6g}, and is held there: others have their errors so."
+    )
 
 
 def _of_unidentified(finding: Finding, terms: _Terms) -> str:

@@ -20,7 +20,7 @@ from ...exceptions import StructureError
 from ..data.channels import Recording
 from ..data.windowed import crossed_scores, share_errors
 from ..diagnosis.verdict import HypothesisTest
-from ..parameters.fitted_parameters import FittedParameters, Information, named_combination
+from ..parameters.fitted_parameters import FittedParameters, ParameterInformation, ParametricPoint, named_combination
 from ..parameters.model_function import ModelFunction
 from ..parameters.pairing import followed, paired
 from ..parameters.physical_modes import PhysicalModes
@@ -33,12 +33,16 @@ from ..search.fitted_modes import FreeFit
 from .constrained import StructuredFit
 from .hypothesis_tests import likelihood_test
 from .layout import ChannelLayout
+from .parametric_noise import SharedNoise
 
 PARAMETRIC = "parametric"
+_WEAK = 1e-2  # of the largest singular value of columns of unit length: what one-sided differences may have made
 _SETTLED = 1e-4  # of the variance of the rows: a decrease of the loss that is none
 _ROUNDS = 12  # of derivatives
 _FLOORS = 0.02, 0.2, 0.3  # relative errors of frequencies, damping ratios and residues on the way to the start
 _NEAR = 0.5  # of a bin: poles so near to those of the free fit need no better start
+_ALIKE = 0.5  # modal assurance from which on modes are taken for the same on the way to the start
+_BROAD = 3.0  # times the largest damping ratio of a model, from which on a fitted mode is none of its
 _STRONG = 100.0, 5.0  # sum of squares of a mode, and for each of its unknowns, from which on a free model may have it
 
 
@@ -82,10 +86,15 @@ class ParametricProjection(GivenResidues):
     def losses(self) -> Array:
         """Sum of squared residuals of each output."""
         losses = np.zeros(self.shared.shape[1])
-        for rows, part in zip(self.experiments, self._left, strict=True):
+        if any(part.residual.size != rows.samples * len(rows.outputs) for rows, part in self._pairs()):
+            return losses + sum(float(part.residual @ part.residual) for part in self._left) / len(losses)
+        for rows, part in self._pairs():
             squares = part.residual.reshape(-1, len(rows.outputs), len(part.residual) // _parts(rows)) ** 2
             losses[rows.outputs] += squares.sum(axis=(0, 2))
         return losses
+
+    def _pairs(self) -> list[tuple[Any, RowsLeft]]:
+        return list(zip(self.experiments, self._left, strict=True))
 
     def own_covariances(self, experiment: int, covariance: Array, variance: float) -> list[tuple[Array, Array]]:
         """Covariances of what belongs to an experiment, for each output, and with poles and what `shared` has of it."""
@@ -104,22 +113,8 @@ def _parts(rows: Any) -> int:
     return len(rows.outputs) * (2 if isinstance(rows, FreeResponse) else 1)
 
 
-@dataclass(frozen=True, eq=False)
-class ParametricPoint:
-    """Covariance of poles and shared unknowns, by the parameters."""
-
-    slopes: Array
-    spread: Array
-    excess: float | None = None
-    deficiency: int = 0
-
-    def covariance(self, variance: float) -> Array:
-        """In the coordinates of `FreeProjection.covariance`."""
-        return np.asarray(self.slopes @ (variance * self.spread) @ self.slopes.T)
-
-
 @dataclass(eq=False)
-class _Problem:
+class _ParametricProblem:
     """The loss of a system function in the rows of a free fit."""
 
     free: FreeFit
@@ -138,7 +133,71 @@ class _Problem:
     def left(self, model: PhysicalModes) -> list[RowsLeft]:
         """What a model leaves of the data."""
         with np.errstate(all="ignore"):
+            if self.is_quadratic(model):
+                return self._beside_forces(model)
+            if self.noise is not None:
+                return self.noise.left(self.experiments, model, self.free.scales)
             return left_of_all(self.experiments, model, self.free.scales)
+
+    def is_quadratic(self, model: PhysicalModes) -> bool:
+        """Whether forces on the plant tell of its poles as well, and a model has as many as the free fit."""
+        beside, p = self.free.beside, self.free.projection.p
+        alike = len(p) == len(model.poles) and int(np.sum(p.imag == 0)) == int(np.sum(model.real))
+        return beside is not None and beside.is_coloured and alike
+
+    def modes(self, theta: Array) -> PhysicalModes:
+        """Modes of the system, beside forces in the order of those of the free fit."""
+        model = self.function.modes(theta)
+        return model.among(self._in_order(model)) if self.is_quadratic(model) else model
+
+    def _in_order(self, model: PhysicalModes) -> Indices:
+        p, order = self.free.projection.p, np.empty(len(model.poles), int)
+        fitted = _FittedPoles.of(self.free, self.layout)
+        some = np.flatnonzero(~model.real)
+        order[p.imag != 0] = some[
+            paired(fitted.frequencies, fitted.shapes, np.abs(model.poles[some]), model.shapes[some])[0]
+        ]
+        real = np.flatnonzero(model.real)
+        order[p.imag == 0] = real[np.argsort(np.argsort(p[p.imag == 0].real))][
+            np.argsort(np.argsort(model.poles[real].real))
+        ]
+        return order
+
+    def _beside_forces(self, model: PhysicalModes) -> list[RowsLeft]:
+        """The distance of poles and residues from those of the free fit, which has all that noise tells of them."""
+        joint: Any = self.free.projection
+        quadratic, halves = joint.quadratic, np.where(model.real, 0.5, 1.0)[:, None, None] * model.residues
+        shared = self.layout.joined(halves, model.feedthrough, joint.has_feedthrough)
+        moved = np.concatenate([model.poles.imag, model.poles.real, shared.T.ravel()]) - quadratic.centre
+        left = []
+        for place, (mine, along, inner) in enumerate(zip(quadratic.own, quadratic.along, quadratic.inner, strict=True)):
+            own, outputs = mine + (along @ moved).reshape(mine.shape), mine.shape[1]
+            left.append(RowsLeft(
+                quadratic.root @ moved if not place else np.zeros(0), own, self.own_of_free if not place else 0,
+                lambda output, inner=inner, outputs=outputs: inner[output::outputs, output::outputs],
+            ))  # fmt: skip
+        return left
+
+    @cached_property
+    def noise(self) -> SharedNoise | None:
+        """Noise that outputs share, where the free fit has some."""
+        return None if self.free.beside is None else SharedNoise(self.free.beside)
+
+    @cached_property
+    def apart(self) -> float:
+        """By how much the loss of the free fit is larger here than that fit has it: it begins in another way."""
+        if self.noise is None:
+            return 0.0
+        if self.is_quadratic(self.function.modes(self.function.start)):
+            return -float(self.free.projection.loss)
+        return self.noise.loss_of(self.free.projection, self.free.scales) - self.free.projection.loss
+
+    @property
+    def own_of_free(self) -> int:
+        """Numbers of the free model that belong to one experiment each."""
+        projection = self.free.projection
+        noise = 0 if self.free.beside is None else int(self.free.beside.unknowns)
+        return projection.unknowns - len(projection.x) - int(projection.shown.sum()) - noise
 
     def residual(self, model: PhysicalModes) -> Array:
         """Rows of all experiments without the model, one after the other."""
@@ -146,10 +205,10 @@ class _Problem:
 
 
 @dataclass(eq=False)
-class _Point:
+class _ParameterPoint:
     """Parameters with the residual there."""
 
-    problem: _Problem
+    problem: _ParametricProblem
     theta: Array
     errors: Array | None = None  # of the parameters, as far as they are known
     _jacobian: Array | None = field(default=None, repr=False)
@@ -157,7 +216,7 @@ class _Point:
     @cached_property
     def model(self) -> PhysicalModes:
         """Modes of the system."""
-        return self.problem.function.modes(self.theta)
+        return self.problem.modes(self.theta)
 
     @cached_property
     def residual(self) -> Array:
@@ -173,7 +232,10 @@ class _Point:
     @cached_property
     def near(self) -> list[tuple[float, PhysicalModes]]:
         """Steps of the parameters and the modes there."""
-        return self.problem.function.neighbours(self.theta, self.errors)
+        near = self.problem.function.neighbours(self.theta, self.errors)
+        if self.problem.is_quadratic(self.model):
+            return [(step, followed(self.model, model)) for step, model in near]
+        return near
 
     @cached_property
     def jacobian(self) -> Array:
@@ -181,6 +243,23 @@ class _Point:
         scale = self.problem.function.scale
         columns = [(self.problem.residual(model) - self.residual) / step for step, model in self.near]
         return np.stack(columns, axis=1) * scale
+
+    @cached_property
+    def sharp(self) -> Array:
+        """The same by differences to both sides, where calls are left and some combination leaves next to no trace."""
+        J, function = self.jacobian, self.problem.function
+        s = np.linalg.svd(np.linalg.qr(J / np.maximum(np.linalg.norm(J, axis=0), 1e-300), mode="r"), compute_uv=False)
+        if s.min(initial=1.0) > _WEAK * s.max(initial=0.0) or function.calls + len(self.theta) > function.most:
+            return J
+        other = function.opposite(self.theta, self.near)
+        if self.problem.is_quadratic(self.model):
+            other = [(step, followed(self.model, model)) for step, model in other]
+        columns = [
+            (self.problem.residual(ahead) - self.problem.residual(behind)) / (step - back)
+            if step != back else (self.problem.residual(ahead) - self.residual) / step
+            for (step, ahead), (back, behind) in zip(self.near, other, strict=True)
+        ]  # fmt: skip
+        return np.stack(columns, axis=1) * function.scale
 
     @cached_property
     def free(self) -> Any:
@@ -193,33 +272,33 @@ class _Point:
 
 
 @dataclass(frozen=True)
-class _Minimum:
-    point: _Point
+class _ParameterMinimum:
+    point: _ParameterPoint
     converged: bool
 
 
-def _minimise(problem: _Problem, theta: Array) -> _Minimum:
+def _minimise(problem: _ParametricProblem, theta: Array) -> _ParameterMinimum:
     """Levenberg and Marquardt's method in relative changes of the parameters, within bounds and the calls there are."""
     function, damping = problem.function, 1e-6
-    point = _Point(problem, theta)
+    point = _ParameterPoint(problem, theta)
     unit = 1.0
     for _ in range(_ROUNDS):
         if function.exhausted:
-            return _Minimum(point, False)
+            return _ParameterMinimum(point, False)
         J, r, free = point.jacobian, point.residual, point.free
         unit = max(1.0, point.loss / max(1, len(r)))
         J = J * free
         gram, gradient = J.T @ J, J.T @ r
         trial, damping, promised = _descended(point, gram, gradient, damping, unit)
         if trial is None:
-            return _Minimum(point, promised <= 10 * _SETTLED * unit)
+            return _ParameterMinimum(point, promised <= 10 * _SETTLED * unit)
         settled = promised <= _SETTLED * unit or point.loss - trial.loss <= _SETTLED * unit
         trial.errors = _errors(J, function.scale, unit)
         if settled:
             # derivatives here serve there: they differ by less than a hundredth of an error
-            return _Minimum(point if point.loss <= trial.loss else trial, True)
+            return _ParameterMinimum(point if point.loss <= trial.loss else trial, True)
         point = trial
-    return _Minimum(point, False)
+    return _ParameterMinimum(point, False)
 
 
 def _errors(J: Array, scale: Array, unit: float) -> Array:
@@ -230,8 +309,8 @@ def _errors(J: Array, scale: Array, unit: float) -> Array:
 
 
 def _descended(
-    point: _Point, gram: Array, gradient: Array, damping: float, unit: float
-) -> tuple[_Point | None, float, float]:
+    point: _ParameterPoint, gram: Array, gradient: Array, damping: float, unit: float
+) -> tuple[_ParameterPoint | None, float, float]:
     """The next point, the damping after it, and the decrease that an undamped step promises; no point if none is lower.
 
     A step that promises next to nothing is not tried.
@@ -248,7 +327,7 @@ def _descended(
         if function.is_spent:
             break
         step = -np.linalg.lstsq(G + damping * np.eye(len(G)), g, rcond=1e-12)[0] / lengths
-        theta = function.inside(point.theta + function.scale * step)
+        theta = function.stepped(point.theta, step)
         if np.array_equal(theta, point.theta):
             break
         trial = _tried(point.problem, theta)
@@ -258,9 +337,9 @@ def _descended(
     return None, damping, promised
 
 
-def _tried(problem: _Problem, theta: Array) -> _Point | None:
+def _tried(problem: _ParametricProblem, theta: Array) -> _ParameterPoint | None:
     """A point, or None where the function has no system there."""
-    trial = _Point(problem, theta)
+    trial = _ParameterPoint(problem, theta)
     try:
         return trial if np.isfinite(trial.loss) else None
     except (ArithmeticError, np.linalg.LinAlgError, StructureError):
@@ -270,11 +349,11 @@ def _tried(problem: _Problem, theta: Array) -> _Point | None:
 # --- where it begins -------------------------------------------------------------------------------------------------
 
 
-def _start(problem: _Problem) -> Array:
+def _start(problem: _ParametricProblem) -> Array:
     """Parameters next to the modes of the free fit: those given, or better ones."""
     function, free = problem.function, problem.free
     given = function.start if function.best is None else function.best
-    fitted = _Fitted.of(free, problem.layout)
+    fitted = _FittedPoles.of(free, problem.layout)
     if not len(fitted.frequencies) or fitted.is_near(function.modes(given), free.region.bin):
         return given
     theta, best, damping = given, fitted.distance(function.modes(given)), 1e-3
@@ -286,7 +365,7 @@ def _start(problem: _Problem) -> Array:
         for _ in range(4):
             gram = J.T @ J
             step = -np.linalg.lstsq(gram + damping * np.diag(np.diag(gram) + 1e-12), J.T @ r, rcond=1e-10)[0]
-            trial = function.inside(theta + function.scale * np.clip(step, -0.5, 0.5))
+            trial = function.stepped(theta, np.clip(step, -0.5, 0.5))
             left = fitted.distance(function.modes(trial))
             if left @ left < r @ r:
                 moved, damping = trial, damping / 10
@@ -303,24 +382,23 @@ def _start(problem: _Problem) -> Array:
 
 
 @dataclass(frozen=True)
-class _Fitted:
+class _FittedPoles:
     """Modes of a free fit, in the units of the data."""
 
     poles: ComplexArray
     residues: ComplexArray
-    errors: Array
 
     @classmethod
-    def of(cls, free: FreeFit, layout: ChannelLayout) -> _Fitted:
+    def of(cls, free: FreeFit, layout: ChannelLayout) -> _FittedPoles:
         p = free.projection.p
         some = np.flatnonzero(p.imag > 0)
         if not len(some) or not free.projection.inputs:
             motions = np.zeros((len(some), layout.outputs, 0), complex)
             if len(some) and free.projection.own and isinstance(free.projection.experiments[0], FreeRecord):
                 motions = _motion_shapes(free, some)
-            return cls(p[some], motions, np.zeros(len(some)))
+            return cls(p[some], motions)
         residues, _ = layout.split(free.projection.shared, len(p))
-        return cls(p[some], residues[some], np.zeros(len(some)))
+        return cls(p[some], residues[some])
 
     @property
     def frequencies(self) -> Array:
@@ -338,14 +416,19 @@ class _Fitted:
         """Modes of a model that are paired with these."""
         some = np.flatnonzero(~model.real)
         shapes = model.shapes[some] if self.residues.size else np.ones((len(some), 1), complex)
-        places, _ = paired(self.frequencies, self.shapes, np.abs(model.poles[some]), shapes)
-        return np.where(places >= 0, some[places], -1) if len(some) else places
+        places, alike = paired(self.frequencies, self.shapes, np.abs(model.poles[some]), shapes)
+        if not len(some):
+            return places
+        broad = -self.poles.real / self.frequencies > _BROAD * max(0.01, model.damping[some].max())
+        return np.where((places >= 0) & (alike >= _ALIKE) & ~broad, some[places], -1)
 
     def is_near(self, model: PhysicalModes, width: float) -> bool:
         """Whether all poles are within a part of a bin, or of their peaks."""
         places = self.places(model)
-        distance = np.abs(model.poles[places] - self.poles) if len(model.poles) else np.array([np.inf])
-        return bool(np.all(places >= 0) and np.all(distance < _NEAR * (width + np.abs(self.poles.real))))
+        if not np.any(places >= 0):
+            return False
+        distance = np.abs(model.poles[places] - self.poles)[places >= 0]
+        return bool(np.all(distance < _NEAR * (width + np.abs(self.poles.real[places >= 0]))))
 
     def distance(self, model: PhysicalModes) -> Array:
         """Frequencies, damping ratios and residues of a model less these, in rough units."""
@@ -358,7 +441,9 @@ class _Fitted:
                 continue
             pole, mine = model.poles[place], self.poles[k]
             zeta, own = -pole.real / np.abs(pole), -mine.real / np.abs(mine)
-            residue = model.residues[place] if self.residues.shape[2] == model.residues.shape[2] else 0 * self.residues[k]
+            residue = (
+                model.residues[place] if self.residues.shape[2] == model.residues.shape[2] else 0 * self.residues[k]
+            )
             size = float(np.linalg.norm(self.residues[k])) or 1.0
             apart = (residue - self.residues[k]).ravel() / (of_residue * size)
             if self.residues.shape[2] != model.residues.shape[2] or not model.residues.shape[2]:
@@ -432,7 +517,7 @@ def fit_parameters(free: FreeFit, layout: ChannelLayout, function: ModelFunction
     -----
     One pass over the data for each call of the function, O(T n (m + p)).
     """
-    problem = _Problem(free, layout, function)
+    problem = _ParametricProblem(free, layout, function)
     minimum = _minimise(problem, _start(problem))
     function.best = minimum.point.theta
     fit = _structured_fit(problem, minimum)
@@ -441,16 +526,16 @@ def fit_parameters(free: FreeFit, layout: ChannelLayout, function: ModelFunction
     return ParametricFit(fit, test, _findings(problem, minimum.point, fit.physical))
 
 
-def _structured_fit(problem: _Problem, minimum: _Minimum) -> StructuredFit:
+def _structured_fit(problem: _ParametricProblem, minimum: _ParameterMinimum) -> StructuredFit:
     """The minimum as a structure: modes, their covariance by that of the parameters, and what belongs to the data."""
     free, layout, function, point = problem.free, problem.layout, problem.function, minimum.point
     model, left = point.model, problem.left(point.model)
-    information = Information.of(point.jacobian, point.free)
+    information = ParameterInformation.of(point.sharp, point.free)
     spread, excess = _with_shared_errors(problem, point, information)
     projection = ParametricProjection(free.projection, model, layout, left)
     projection.slopes, projection.own_slopes = _slopes(problem, point, projection, left)
     projection.spread = spread
-    own, own_free = sum(part.unknowns for part in left), _own_unknowns(free.projection)
+    own, own_free = sum(part.unknowns for part in left), problem.own_of_free
     relative = np.where(np.outer(*[point.free & information.seen] * 2), spread, np.nan)
     physical = FittedParameters(
         function.names, point.theta.copy(), relative * np.outer(function.scale, function.scale), function.start,
@@ -458,17 +543,14 @@ def _structured_fit(problem: _Problem, minimum: _Minimum) -> StructuredFit:
     )  # fmt: skip
     return StructuredFit(
         PARAMETRIC, PARAMETRIC, model.poles, np.where(model.real, 0.5, 1.0)[:, None, None] * model.residues,
-        model.feedthrough, None, None, point.loss, information.rank + own - own_free, free.variance, projection,
-        minimum.converged, ParametricPoint(projection.slopes, spread, excess), physical=physical,
+        model.feedthrough, None, None, point.loss - problem.apart, information.rank + own - own_free, free.variance,
+        projection, minimum.converged, ParametricPoint(projection.slopes, spread, excess), physical=physical,
     )  # fmt: skip
 
 
-def _own_unknowns(projection: FreeProjection) -> int:
-    """Numbers of a free model that belong to one experiment each."""
-    return projection.unknowns - len(projection.x) - int(projection.shown.sum())
-
-
-def _with_shared_errors(problem: _Problem, point: _Point, information: Information) -> tuple[Array, float | None]:
+def _with_shared_errors(
+    problem: _ParametricProblem, point: _ParameterPoint, information: ParameterInformation
+) -> tuple[Array, float | None]:
     """Inverse of the information, with what errors that entries of a response have in common add to it."""
     if not share_errors(problem.experiments):
         return information.inverse, None
@@ -483,7 +565,7 @@ def _with_shared_errors(problem: _Problem, point: _Point, information: Informati
 
 
 def _slopes(
-    problem: _Problem, point: _Point, projection: ParametricProjection, left: Sequence[RowsLeft]
+    problem: _ParametricProblem, point: _ParameterPoint, projection: ParametricProjection, left: Sequence[RowsLeft]
 ) -> tuple[Array, list[Array]]:
     """Derivatives of poles and shared unknowns, and of what belongs to each experiment, by relative changes."""
     scale, known = problem.function.scale, _numbers(projection)
@@ -507,23 +589,26 @@ def _numbers(projection: FreeProjection) -> Array:
 # --- the test --------------------------------------------------------------------------------------------------------
 
 
-def _tested(problem: _Problem, point: _Point, fit: StructuredFit) -> HypothesisTest:
+def _tested(problem: _ParametricProblem, point: _ParameterPoint, fit: StructuredFit) -> HypothesisTest:
     """Test the function within free models: of its own modes that stand out of the noise, or of those of the free fit.
 
     Poles of modes that are weak have no law of their own in a free model, and stay those of the function.
     """
     free, rows = problem.free, problem.free.projection.rows
     own = sum(part.unknowns for part in problem.left(point.model))
-    shown = fit.parameters - own + _own_unknowns(free.projection)  # numbers of the parameters
+    shown = fit.parameters - own + problem.own_of_free  # numbers of the parameters
     wide, held = _freed(problem, point)
-    candidates = [(free.projection, free.projection.unknowns - free.projection.deficiency - shown - own)]
+    of_free = problem.own_of_free + len(free.projection.x) + int(free.projection.shown.sum())
+    candidates = [(free.projection, of_free - free.projection.deficiency - shown - own)]
+    if problem.noise is not None:
+        return likelihood_test(free.projection, fit, max(0, candidates[0][1] + held))
     if wide is not None:
         candidates.append((wide, wide.unknowns - wide.deficiency - shown - (own - held)))
     wider, dof = min(candidates, key=lambda pair: pair[0].loss + pair[1] * float(np.log(rows)))
     return likelihood_test(wider, fit, max(0, dof))
 
 
-def _freed(problem: _Problem, point: _Point) -> tuple[FreeProjection | None, int]:
+def _freed(problem: _ParametricProblem, point: _ParameterPoint) -> tuple[FreeProjection | None, int]:
     """A free model of the strong modes of the function, beside its weak ones, and how many numbers these begin with."""
     free, model, left = problem.free, point.model, problem.left(point.model)
     outputs, inputs = len(free.scales), 1 if free.per_entry else free.projection.inputs
@@ -541,7 +626,9 @@ def _freed(problem: _Problem, point: _Point) -> tuple[FreeProjection | None, int
     through = free.projection.fed
     if through is not None:
         through = through | (np.abs(problem.layout_feedthrough(model)) > 0)
-    wide = refine_free(lambda _: experiments, model.poles[strong], free.region, fed=through)
+    wide = None
+    if problem.noise is None:
+        wide = refine_free(lambda _: experiments, model.poles[strong], free.region, fed=through)
     count = int(np.where(model.real[weak], 1, 2).sum())
     return wide, count * sum(bool(getattr(rows, "moving", False)) for rows in experiments)
 
@@ -556,7 +643,7 @@ def _without(rows: Any, signals: Any) -> Any:
     return replace(rows, response=response)
 
 
-def _findings(problem: _Problem, point: _Point, physical: FittedParameters) -> tuple[Finding, ...]:
+def _findings(problem: _ParametricProblem, point: _ParameterPoint, physical: FittedParameters) -> tuple[Finding, ...]:
     """Parameters that ended at a bound, and combinations that leave no trace."""
     bound = [
         Finding(Cause.PARAMETER_BOUND, (float(point.theta[k]),), 0.0, physical.names[k])
