@@ -119,6 +119,16 @@ def test_the_file_of_a_result_has_its_parameters(tmp_path):
     assert str(back) == str(result) and "theta[1]" in str(back)
 
 
+def test_a_record_from_rest_has_no_state_to_estimate():
+    u = np.random.default_rng(8).standard_normal((1, 800))
+    y = simulated(chain(SPRINGS), u, np.zeros(6))
+    y = y + 0.05 * y.std() * np.random.default_rng(9).standard_normal(y.shape)
+    options = {"dt": DT, "quantity": "displacement", "intersample": "zoh", "model": chain, "parameters": [95.0] * 3}
+    rest, moving = (phc.pem((u[0], y), 3, initial_state=state, **options) for state in ("zero", "estimate"))
+    assert np.all(np.abs(deviations(rest, SPRINGS)) < 4) and rest.tests[0].p > 1e-3
+    assert np.all(rest.stderr["parameters"] < moving.stderr["parameters"])
+
+
 def test_intervals_have_the_parameters():
     low, high = fitted().confidence_interval()["parameters"].T
     assert np.all((low < fitted().parameters) & (fitted().parameters < high))

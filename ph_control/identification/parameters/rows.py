@@ -237,8 +237,8 @@ def of_modes(rows: Any, model: PhysicalModes, places: Any, scales: Array, own: A
     some, n = model.among(places), len(model.poles)
     some = PhysicalModes(some.poles, some.shapes, some.participation, 0 * some.feedthrough)
     if isinstance(rows, FreeRecord):
-        motion = own[: 2 * n * rows.moving].reshape(2 * rows.moving, n, -1)[:, places]
-        mine = np.concatenate([motion.reshape(-1, own.shape[1]), np.zeros((rows.offset, own.shape[1]))])
+        moving = np.concatenate([places, n + places]) if rows.moving else places[:0]
+        mine = np.concatenate([own[moving], np.zeros((rows.offset, own.shape[1]))])
         return rows.at(some.poles).predict(shared_unknowns(rows, some, scales, rows.through), mine)
     o, i = np.divmod(rows.outputs, some.feedthrough.shape[1])
     peaks = rows.peaks(some.poles)
