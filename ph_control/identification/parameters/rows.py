@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..._types import Array, ComplexArray
-from ..regression.free import FreeRows, places_of
+from ..regression.free import FreeRows
 from ..regression.frequency_rows import FreeResponse
 from ..regression.time_rows import FreeRecord
 from .physical_modes import PhysicalModes
@@ -24,7 +24,7 @@ _RANK = 1e-11  # of the largest eigenvalue of the inner products of unit columns
 
 
 @dataclass(frozen=True)
-class RowsLeft:
+class RowsRemainder:
     """What a model leaves of the rows of an experiment.
 
     Attributes
@@ -62,16 +62,16 @@ def shared_unknowns(rows: FreeRows, model: PhysicalModes, scales: Array, through
     return np.asarray(stacked.reshape(-1, len(entries)) / scales[entries])
 
 
-def left_by(rows: FreeRows, model: PhysicalModes, scales: Array) -> RowsLeft:
+def remainder_of(rows: FreeRows, model: PhysicalModes, scales: Array) -> RowsRemainder:
     """What a model leaves of the rows of an experiment, what belongs to this at its best."""
     if isinstance(rows, FreeRecord):
-        return _left_of_record(rows, model, scales)
+        return _remainder_of_record(rows, model, scales)
     if not isinstance(rows, FreeResponse):
         raise TypeError(type(rows).__name__)
-    return _left_of_response(rows, model, scales)
+    return _remainder_of_response(rows, model, scales)
 
 
-def _left_of_response(rows: FreeResponse, model: PhysicalModes, scales: Array) -> RowsLeft:
+def _remainder_of_response(rows: FreeResponse, model: PhysicalModes, scales: Array) -> RowsRemainder:
     """Responses have nothing of their own: a computed model has all modes."""
     entries, (_, m) = rows.outputs, model.feedthrough.shape
     o, i = np.divmod(entries, m)
@@ -79,12 +79,14 @@ def _left_of_response(rows: FreeResponse, model: PhysicalModes, scales: Array) -
     n, halves = len(model.poles), np.where(model.real, 0.5, 1.0)[:, None] * model.residues[:, o, i]
     columns = np.concatenate([peaks.ahead + peaks.behind, 1j * (peaks.ahead - peaks.behind), rows.direct])
     weights = np.concatenate([halves.real, halves.imag, model.feedthrough[o, i][None]])
-    left = rows.target - rows.in_rows((weights / scales[entries]).T @ columns)
+    remainder = rows.target - rows.in_rows((weights / scales[entries]).T @ columns)
     own = np.zeros((rows.own_unknowns(n), len(entries)))
-    return RowsLeft(np.concatenate([left.real.ravel(), left.imag.ravel()]), own, 0, lambda _: np.zeros((len(own),) * 2))
+    return RowsRemainder(
+        np.concatenate([remainder.real.ravel(), remainder.imag.ravel()]), own, 0, lambda _: np.zeros((len(own),) * 2)
+    )
 
 
-def _left_of_record(rows: FreeRecord, model: PhysicalModes, scales: Array) -> RowsLeft:
+def _remainder_of_record(rows: FreeRecord, model: PhysicalModes, scales: Array) -> RowsRemainder:
     n, q = len(model.poles), len(rows.outputs)
     own = np.zeros((rows.own_unknowns(n), q))
     forced = np.zeros((q, rows.length))
@@ -95,10 +97,10 @@ def _left_of_record(rows: FreeRecord, model: PhysicalModes, scales: Array) -> Ro
     residual = rows.residuals(forced)
     constants = _in_rows(rows, np.stack([np.arange(float(rows.length)), np.ones(rows.length)])[2 - rows.offset :])
     motion = _Motion.of(rows, model, scales, residual, constants)
-    left = motion.residual
+    remainder = motion.residual
     own[: 2 * n * rows.moving] = motion.amplitudes
     own[2 * n * rows.moving :] = motion.constants
-    return RowsLeft(left.ravel(), own, motion.rank + q * rows.offset, motion.spread)
+    return RowsRemainder(remainder.ravel(), own, motion.rank + q * rows.offset, motion.spread)
 
 
 def _in_rows(rows: FreeRecord, signals: Array) -> Array:
@@ -188,8 +190,8 @@ class _Motion:
         """Drift and constant of each output."""
         if not len(self.constant_columns):
             return np.zeros((0, len(self.data)))
-        left = self.data - self._motions @ self.basis
-        return np.linalg.lstsq(self.constant_columns.T, left.T, rcond=None)[0]
+        remainder = self.data - self._motions @ self.basis
+        return np.linalg.lstsq(self.constant_columns.T, remainder.T, rcond=None)[0]
 
     @property
     def residual(self) -> Array:
@@ -214,9 +216,9 @@ class _Motion:
         return covariance
 
 
-def left_of_all(experiments: Sequence[FreeRows], model: PhysicalModes, scales: Array) -> list[RowsLeft]:
+def remainders_of(experiments: Sequence[FreeRows], model: PhysicalModes, scales: Array) -> list[RowsRemainder]:
     """What a model leaves of each experiment."""
-    return [left_by(rows, model, scales) for rows in experiments]
+    return [remainder_of(rows, model, scales) for rows in experiments]
 
 
 def energies(experiments: Sequence[FreeRows], model: PhysicalModes, scales: Array, own: Sequence[Array]) -> Array:
@@ -244,6 +246,3 @@ def of_modes(rows: Any, model: PhysicalModes, places: Any, scales: Array, own: A
     peaks = rows.peaks(some.poles)
     halves: ComplexArray = np.where(some.real, 0.5, 1.0)[:, None] * some.residues[:, o, i] / scales[rows.outputs]
     return halves.real.T @ (peaks.ahead + peaks.behind) + 1j * halves.imag.T @ (peaks.ahead - peaks.behind)
-
-
-__all__ = ["RowsLeft", "energies", "left_by", "left_of_all", "of_modes", "places_of", "shared_unknowns"]

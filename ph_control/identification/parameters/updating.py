@@ -248,7 +248,7 @@ class _FittedTarget:
             raise StructureError("this fit has no modes to update a model by")
         N, n, (p, m) = len(result.poles), result.order, result.residues.shape[1:]
         some = np.arange(n) if modes is None else _places("modes", modes, n)
-        object.__setattr__(function, "slowest", 1e-3 * float(np.abs(result.poles[:n]).min()))
+        function.slowest = 1e-3 * float(np.abs(result.poles[:n]).min())
         plant = function.function(function.start.copy())
         function.calls += 1
         measured = _measured_outputs(plant, result, outputs)
@@ -263,9 +263,9 @@ class _FittedTarget:
             _checks.choice("quantities", name, QUANTITIES)
         if "residues" in chosen and not (alike and m):
             raise StructureError(f"residues need the {m} inputs of the fit in the model as well; compare shapes")
-        size = n_entries = p * m
+        size = p * m
         places = np.concatenate([
-            some, N + some, *(2 * N + part * N * size + (some[:, None] * n_entries + np.arange(size)).ravel()
+            some, N + some, *(2 * N + part * N * size + (some[:, None] * size + np.arange(size)).ravel()
                               for part in (0, 1))
         ]).astype(int)  # fmt: skip
         return cls(

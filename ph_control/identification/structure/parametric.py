@@ -24,7 +24,7 @@ from ..parameters.fitted_parameters import FittedParameters, ParameterInformatio
 from ..parameters.model_function import ModelFunction
 from ..parameters.pairing import followed, paired
 from ..parameters.physical_modes import PhysicalModes
-from ..parameters.rows import RowsLeft, energies, left_of_all, of_modes
+from ..parameters.rows import RowsRemainder, energies, of_modes, remainders_of
 from ..regression.free import FreeProjection, GivenResidues, refine_free
 from ..regression.frequency_rows import FreeResponse
 from ..regression.time_rows import FreeRecord
@@ -67,12 +67,14 @@ def _lowest(omega: Array) -> float:
 class ParametricProjection(GivenResidues):
     """The data at a computed model; each record begins in a state that all its outputs share."""
 
-    def __init__(self, free: FreeProjection, model: PhysicalModes, layout: ChannelLayout, left: Sequence[RowsLeft]):
+    def __init__(
+        self, free: FreeProjection, model: PhysicalModes, layout: ChannelLayout, remainder: Sequence[RowsRemainder]
+    ):
         halves = np.where(model.real, 0.5, 1.0)[:, None, None] * model.residues
         projection = FreeProjection(free.experiments, model.poles, free.fed)
         shared = layout.joined(halves, model.feedthrough, projection.has_feedthrough)
         super().__init__(projection, shared)
-        self._left = list(left)
+        self._remainder = list(remainder)
         self.slopes: Array = np.zeros((0, 0))  # of poles and shared unknowns by relative changes of the parameters
         self.own_slopes: list[Array] = []
         self.spread: Array = np.zeros((0, 0))
@@ -80,25 +82,25 @@ class ParametricProjection(GivenResidues):
     @cached_property
     def own(self) -> list[Array]:
         """What belongs to each experiment, shape (unknowns, its outputs)."""
-        return [part.own for part in self._left]
+        return [part.own for part in self._remainder]
 
     @cached_property
     def losses(self) -> Array:
         """Sum of squared residuals of each output."""
         losses = np.zeros(self.shared.shape[1])
         if any(part.residual.size != rows.samples * len(rows.outputs) for rows, part in self._pairs()):
-            return losses + sum(float(part.residual @ part.residual) for part in self._left) / len(losses)
+            return losses + sum(float(part.residual @ part.residual) for part in self._remainder) / len(losses)
         for rows, part in self._pairs():
             squares = part.residual.reshape(-1, len(rows.outputs), len(part.residual) // _parts(rows)) ** 2
             losses[rows.outputs] += squares.sum(axis=(0, 2))
         return losses
 
-    def _pairs(self) -> list[tuple[Any, RowsLeft]]:
-        return list(zip(self.experiments, self._left, strict=True))
+    def _pairs(self) -> list[tuple[Any, RowsRemainder]]:
+        return list(zip(self.experiments, self._remainder, strict=True))
 
     def own_covariances(self, experiment: int, covariance: Array, variance: float) -> list[tuple[Array, Array]]:
         """Covariances of what belongs to an experiment, for each output, and with poles and what `shared` has of it."""
-        rows, part = self.experiments[experiment], self._left[experiment]
+        rows, part = self.experiments[experiment], self._remainder[experiment]
         n, width, pairs = len(self.p), len(self.shared), []
         for k, output in enumerate(rows.outputs.tolist()):
             places = np.append(np.arange(2 * n), 2 * n + output * width + np.arange(width)).astype(int)
@@ -130,14 +132,14 @@ class _ParametricProblem:
         """What a model feeds through, one row for each output of the projection."""
         return model.feedthrough.reshape(len(self.free.scales), -1)
 
-    def left(self, model: PhysicalModes) -> list[RowsLeft]:
+    def remainder(self, model: PhysicalModes) -> list[RowsRemainder]:
         """What a model leaves of the data."""
         with np.errstate(all="ignore"):
             if self.is_quadratic(model):
                 return self._beside_forces(model)
             if self.noise is not None:
-                return self.noise.left(self.experiments, model, self.free.scales)
-            return left_of_all(self.experiments, model, self.free.scales)
+                return self.noise.remainder(self.experiments, model, self.free.scales)
+            return remainders_of(self.experiments, model, self.free.scales)
 
     def is_quadratic(self, model: PhysicalModes) -> bool:
         """Whether forces on the plant tell of its poles as well, and a model has as many as the free fit."""
@@ -163,20 +165,20 @@ class _ParametricProblem:
         ]
         return order
 
-    def _beside_forces(self, model: PhysicalModes) -> list[RowsLeft]:
+    def _beside_forces(self, model: PhysicalModes) -> list[RowsRemainder]:
         """The distance of poles and residues from those of the free fit, which has all that noise tells of them."""
         joint: Any = self.free.projection
         quadratic, halves = joint.quadratic, np.where(model.real, 0.5, 1.0)[:, None, None] * model.residues
         shared = self.layout.joined(halves, model.feedthrough, joint.has_feedthrough)
         moved = np.concatenate([model.poles.imag, model.poles.real, shared.T.ravel()]) - quadratic.centre
-        left = []
+        remainder = []
         for place, (mine, along, inner) in enumerate(zip(quadratic.own, quadratic.along, quadratic.inner, strict=True)):
             own, outputs = mine + (along @ moved).reshape(mine.shape), mine.shape[1]
-            left.append(RowsLeft(
+            remainder.append(RowsRemainder(
                 quadratic.root @ moved if not place else np.zeros(0), own, self.own_of_free if not place else 0,
                 lambda output, inner=inner, outputs=outputs: inner[output::outputs, output::outputs],
             ))  # fmt: skip
-        return left
+        return remainder
 
     @cached_property
     def noise(self) -> SharedNoise | None:
@@ -201,7 +203,7 @@ class _ParametricProblem:
 
     def residual(self, model: PhysicalModes) -> Array:
         """Rows of all experiments without the model, one after the other."""
-        return np.concatenate([part.residual for part in self.left(model)])
+        return np.concatenate([part.residual for part in self.remainder(model)])
 
 
 @dataclass(eq=False)
@@ -366,14 +368,14 @@ def _start(problem: _ParametricProblem) -> Array:
             gram = J.T @ J
             step = -np.linalg.lstsq(gram + damping * np.diag(np.diag(gram) + 1e-12), J.T @ r, rcond=1e-10)[0]
             trial = function.stepped(theta, np.clip(step, -0.5, 0.5))
-            left = fitted.distance(function.modes(trial))
-            if left @ left < r @ r:
+            remainder = fitted.distance(function.modes(trial))
+            if remainder @ remainder < r @ r:
                 moved, damping = trial, damping / 10
                 break
             damping = max(10 * damping, 1e-2)
         if moved is None:
             break
-        gain, theta, best = float(r @ r - left @ left), moved, left
+        gain, theta, best = float(r @ r - remainder @ remainder), moved, remainder
         if fitted.is_near(function.modes(theta), free.region.bin) or gain < 1e-3 * float(r @ r):
             break
     trials = [_tried(problem, each) for each in (given, theta)]
@@ -529,13 +531,13 @@ def fit_parameters(free: FreeFit, layout: ChannelLayout, function: ModelFunction
 def _structured_fit(problem: _ParametricProblem, minimum: _ParameterMinimum) -> StructuredFit:
     """The minimum as a structure: modes, their covariance by that of the parameters, and what belongs to the data."""
     free, layout, function, point = problem.free, problem.layout, problem.function, minimum.point
-    model, left = point.model, problem.left(point.model)
+    model, remainder = point.model, problem.remainder(point.model)
     information = ParameterInformation.of(point.sharp, point.free)
     spread, excess = _with_shared_errors(problem, point, information)
-    projection = ParametricProjection(free.projection, model, layout, left)
-    projection.slopes, projection.own_slopes = _slopes(problem, point, projection, left)
+    projection = ParametricProjection(free.projection, model, layout, remainder)
+    projection.slopes, projection.own_slopes = _slopes(problem, point, projection, remainder)
     projection.spread = spread
-    own, own_free = sum(part.unknowns for part in left), problem.own_of_free
+    own, own_free = sum(part.unknowns for part in remainder), problem.own_of_free
     relative = np.where(np.outer(*[point.free & information.seen] * 2), spread, np.nan)
     physical = FittedParameters(
         function.names, point.theta.copy(), relative * np.outer(function.scale, function.scale), function.start,
@@ -565,18 +567,21 @@ def _with_shared_errors(
 
 
 def _slopes(
-    problem: _ParametricProblem, point: _ParameterPoint, projection: ParametricProjection, left: Sequence[RowsLeft]
+    problem: _ParametricProblem,
+    point: _ParameterPoint,
+    projection: ParametricProjection,
+    remainder: Sequence[RowsRemainder],
 ) -> tuple[Array, list[Array]]:
     """Derivatives of poles and shared unknowns, and of what belongs to each experiment, by relative changes."""
     scale, known = problem.function.scale, _numbers(projection)
     slopes = np.zeros((len(known), len(scale)))
-    own = [np.zeros((*part.own.shape, len(scale))) for part in left]
+    own = [np.zeros((*part.own.shape, len(scale))) for part in remainder]
     for k, (step, model) in enumerate(point.near):
         neighbour = followed(point.model, model)
-        parts = problem.left(neighbour)
+        parts = problem.remainder(neighbour)
         moved = ParametricProjection(problem.free.projection, neighbour, problem.layout, parts)
         slopes[:, k] = (_numbers(moved) - known) / step * scale[k]
-        for slope, before, after in zip(own, left, parts, strict=True):
+        for slope, before, after in zip(own, remainder, parts, strict=True):
             slope[:, :, k] = (after.own - before.own) / step * scale[k]
     return slopes, own
 
@@ -595,7 +600,7 @@ def _tested(problem: _ParametricProblem, point: _ParameterPoint, fit: Structured
     Poles of modes that are weak have no law of their own in a free model, and stay those of the function.
     """
     free, rows = problem.free, problem.free.projection.rows
-    own = sum(part.unknowns for part in problem.left(point.model))
+    own = sum(part.unknowns for part in problem.remainder(point.model))
     shown = fit.parameters - own + problem.own_of_free  # numbers of the parameters
     wide, held = _freed(problem, point)
     of_free = problem.own_of_free + len(free.projection.x) + int(free.projection.shown.sum())
@@ -610,10 +615,10 @@ def _tested(problem: _ParametricProblem, point: _ParameterPoint, fit: Structured
 
 def _freed(problem: _ParametricProblem, point: _ParameterPoint) -> tuple[FreeProjection | None, int]:
     """A free model of the strong modes of the function, beside its weak ones, and how many numbers these begin with."""
-    free, model, left = problem.free, point.model, problem.left(point.model)
+    free, model, remainder = problem.free, point.model, problem.remainder(point.model)
     outputs, inputs = len(free.scales), 1 if free.per_entry else free.projection.inputs
     unknowns = 2 + 2 * outputs * max(1, inputs)
-    size = energies(problem.experiments, model, free.scales, [part.own for part in left])
+    size = energies(problem.experiments, model, free.scales, [part.own for part in remainder])
     strong = size > _STRONG[0] + _STRONG[1] * unknowns
     strong &= (np.abs(model.poles.imag) < free.region.ceiling) & (np.abs(model.poles.real) < free.region.ceiling)
     if not strong.any():
@@ -621,7 +626,7 @@ def _freed(problem: _ParametricProblem, point: _ParameterPoint) -> tuple[FreePro
     weak = np.flatnonzero(~strong)
     experiments = [
         _without(rows, of_modes(rows, model, weak, free.scales, part.own)) if len(weak) else rows
-        for rows, part in zip(problem.experiments, left, strict=True)
+        for rows, part in zip(problem.experiments, remainder, strict=True)
     ]
     through = free.projection.fed
     if through is not None:

@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 from ..._types import Array
 from ..innovations.forces import FittedNoise
 from ..parameters.physical_modes import PhysicalModes
-from ..parameters.rows import RowsLeft, shared_unknowns
+from ..parameters.rows import RowsRemainder, shared_unknowns
 from ..regression.free import FreeProjection, places_of
 from ..regression.time_rows import FreeRecord
 
@@ -52,11 +52,11 @@ class SharedNoise:
         flat = np.moveaxis(errors, 1, 0).reshape(p, k * T)
         return np.moveaxis(solve_triangular(self._root, flat, lower=True).reshape(p, k, T), 0, 1)
 
-    def left(self, experiments: Sequence[FreeRecord], model: PhysicalModes, scales: Array) -> list[RowsLeft]:
+    def remainder(self, experiments: Sequence[FreeRecord], model: PhysicalModes, scales: Array) -> list[RowsRemainder]:
         """What a model leaves of all experiments; the first rows of a record have all of its innovations."""
-        return [part for rows in of_records(experiments, len(scales)) for part in self._left(rows, model, scales)]
+        return [part for rows in of_records(experiments, len(scales)) for part in self._remainder(rows, model, scales)]
 
-    def _left(self, parts: Sequence[FreeRecord], model: PhysicalModes, scales: Array) -> list[RowsLeft]:
+    def _remainder(self, parts: Sequence[FreeRecord], model: PhysicalModes, scales: Array) -> list[RowsRemainder]:
         n, p, T = len(model.poles), len(scales), parts[0].length
         data, columns, kinds = np.zeros((p, T)), list[Array](), list[tuple[int, int, Any]]()
         for place, rows in enumerate(parts):
@@ -79,16 +79,16 @@ class SharedNoise:
         root = V[kept].T / s[kept] / lengths[:, None]
         numbers = root @ (U[:, kept].T @ target)
         residual, spread = target - U[:, kept] @ (U[:, kept].T @ target), root @ root.T
-        left = []
+        remainder = []
         for place, rows in enumerate(parts):
             mine = np.flatnonzero([kind[0] == place for kind in kinds])
             turn = _turn(rows, model, scales, [kinds[k] for k in mine])
-            left.append(RowsLeft(
+            remainder.append(RowsRemainder(
                 residual if not place else np.zeros(0), np.einsum("uqk,k->uq", turn, numbers[mine]),
                 int(kept.sum()) if not place else 0,
                 lambda output, turn=turn, mine=mine: turn[:, output] @ spread[np.ix_(mine, mine)] @ turn[:, output].T,
             ))  # fmt: skip
-        return left
+        return remainder
 
     def loss_of(self, free: FreeProjection, scales: Array) -> float:
         """Sum of squared innovations of the free fit itself."""
