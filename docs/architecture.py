@@ -22,6 +22,7 @@ FOLDERS = {
     "identification.moves": "drifts, delays, noise of a fit",
     "identification.growth": "modes join, choice of order",
     "identification.search": "rows, candidates, criteria",
+    "identification.parameters": "system functions, updating",
     "identification.excitation": "parameters that inputs excite",
     "identification.uncertainty": "noise, covariance, draws",
     "identification.regression": "residuals and Jacobians",

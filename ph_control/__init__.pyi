@@ -16,6 +16,7 @@ from .analysis.time_response import impulse_response as impulse_response
 from .analysis.time_response import initial_response as initial_response
 from .analysis.time_response import step_response as step_response
 from .circuits.elements import Netlist as Netlist
+from .circuits.nodal import NetlistFunction as NetlistFunction
 from .circuits.nodal import read_netlist as read_netlist
 from .circuits.synthesis import netlist as netlist
 from .controllers.damping_injection import damping_injection as damping_injection
@@ -71,6 +72,9 @@ from .identification.many.fit_many import RecordingFitted as RecordingFitted
 from .identification.many.fit_many import fit_many as fit_many
 from .identification.many.fit_table import FitTable as FitTable
 from .identification.many.tracking import ModeTracks as ModeTracks
+from .identification.parameters.fitted_parameters import FittedParameters as FittedParameters
+from .identification.parameters.updating import ModelUpdate as ModelUpdate
+from .identification.parameters.updating import update_model as update_model
 from .identification.regression.free_prediction import FittedChannels as FittedChannels
 from .identification.regression.prediction import FittedExperiment as FittedExperiment
 from .identification.regression.prediction import ResponseBackground as ResponseBackground

@@ -38,6 +38,8 @@ def _results():
     bootstrap = fits[0].bootstrap(10, rng=1)
     fixture = ct.frd(plant(1j * w) + 0.3 + 0.2j * w + noise, w)
     background = phc.pem(fixture, structure="free").experiments[0].background
+    resonator = phc.read_netlist("V1 1 0\nL1 1 2 1\nC1 2 0 1\nR1 2 0 9\n", parameters=["C1"])
+    updated = phc.update_model(lambda theta: phc.ph(phc.modes(theta, [1.0, 1.0])), [0.5, 2.0], fits[0])
     return [
         *fits, bootstrap, bootstrap.stderr, fits[1].bootstrap(10, rng=1).interval(), fits[0].confidence_interval(),
         fits[0].sample(3, rng=1), fits[-1].sample(3, rng=1),
@@ -66,7 +68,7 @@ def _results():
         phc.FileFormatError("refused"), phc.FileMissingError("refused"), phc.OutputExistsError("refused"),
         phc.MissingPackageError("refused"), phc.UnknownKeywordError("refused"), phc.NoSuchQuantityError("none"),
         phc.PHControlError("refused"), phc.IdentifiabilityWarning("told"), phc.ResolutionWarning("told"),
-        phc.ConditioningWarning("told"),
+        phc.ConditioningWarning("told"), resonator, updated, updated.fitted_parameters,
     ]  # fmt: skip
 
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, overload
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve, cholesky, solve_triangular
@@ -20,25 +20,40 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from .. import _checks
-from .._types import Array
+from .._frozen import Frozen
+from .._types import Array, ArrayLike
 from ..exceptions import FileFormatError, StructureError
 from ..systems.dissipative import DissipativePortHamiltonian
 from .elements import Element
 from .hierarchy import elements_of
 from .spice_text import content_of
 
+_VALUED = "RLCK"  # elements whose values may be left open
 _TREE = "VCRLI"  # which branches a tree takes first
 _SINGULAR = 1e4  # condition of a capacitance or inductance matrix in units of its diagonal
 _ROUNDING = 8  # times size and EPS, of what was added up: what elimination leaves of 0
 
 
-def read_netlist(source: str | os.PathLike[str] | Any, **names: Any) -> DissipativePortHamiltonian:
+@overload
+def read_netlist(
+    source: str | os.PathLike[str] | Any, *, parameters: None = None, **names: Any
+) -> DissipativePortHamiltonian: ...
+@overload
+def read_netlist(
+    source: str | os.PathLike[str] | Any, *, parameters: Sequence[str], **names: Any
+) -> NetlistFunction: ...
+def read_netlist(
+    source: str | os.PathLike[str] | Any, *, parameters: Sequence[str] | None = None, **names: Any
+) -> DissipativePortHamiltonian | NetlistFunction:
     """Port-Hamiltonian system of a SPICE netlist of resistors, inductors, capacitors and sources.
 
     Parameters
     ----------
     source : str, path-like or file object
         Name of a file, an open file, or, if it has several lines, the text itself.
+    parameters : sequence of str, optional
+        Elements R, L, C or K whose values are left open: then the answer is a function from these values to the system,
+        for `pem(data, model=..)`.  Of `R2` in the subcircuit `X1` the name is `R.X1.R2`.
     **names
         `name`, `inputs`, `outputs`, `states` as for `control.ss`; by default inputs and outputs are called after the
         sources (`v_V1`, `i_V1`), and states after the elements (`q_C1`, `phi_L1`).
@@ -52,6 +67,9 @@ def read_netlist(source: str | os.PathLike[str] | Any, **names: Any) -> Dissipat
         (C) and the flux linkages of inductors (Wb); of a loop of capacitors those of all but one, of a cut set of
         inductors likewise, of coils without leakage (`K = 1`) that of the first.  Of coils with hardly any, the flux
         linkage beyond that which those before it induce.
+
+    NetlistFunction
+        With `parameters`: called with their values it returns that system; `names` and `values` are those of the text.
 
     Raises
     ------
@@ -97,9 +115,79 @@ def read_netlist(source: str | os.PathLike[str] | Any, **names: Any) -> Dissipat
     (['q_C1', 'phi_L1'], array([50329.2]))
     >>> circuit.damping_ratios.round(4)
     array([0.0791])
+    >>> resonator = phc.read_netlist('''V1 1 0
+    ... R1 1 2 50
+    ... L1 2 3 1m
+    ... C1 3 0 10n''', parameters=["R1", "C1"])
+    >>> resonator.values, resonator([50.0, 40e-9]).hertz.round(1)
+    (array([5.e+01, 1.e-08]), array([25164.6]))
     """
     text, name = content_of(source)
-    return _system(elements_of(text, name), names)
+    elements = elements_of(text, name)
+    return _system(elements, names) if parameters is None else _opened(elements, parameters, names)
+
+
+@dataclass(frozen=True, eq=False)
+class NetlistFunction(Frozen):
+    """A circuit as a function of the values of some elements; made by `read_netlist` with `parameters`.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Elements whose values are open, as the netlist names them.
+    values : ndarray, shape (P,)
+        What these are in the netlist: ohm, henry, farad, coupling.
+
+    See Also
+    --------
+    read_netlist, pem
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> low_pass = phc.read_netlist('''V1 1 0
+    ... R1 1 2 1k
+    ... C1 2 0 1u''', parameters=["R1", "C1"])
+    >>> low_pass.names, low_pass([2000.0, 1e-6]).poles().real
+    (('R1', 'C1'), array([-500.]))
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    _elements: tuple[Element, ...] = field(repr=False)
+    _places: tuple[int, ...] = field(repr=False)
+    _labels: dict[str, Any] = field(repr=False)
+
+    def __call__(self, theta: ArrayLike) -> DissipativePortHamiltonian:
+        """System of the circuit with these values, shape (P,)."""
+        values = _checks.real_array("theta", theta)
+        if values.shape != self.values.shape:
+            raise StructureError(f"theta has shape {values.shape}; the netlist has {len(self.names)} open values")
+        elements = list(self._elements)
+        for k, name, value in zip(self._places, self.names, values.tolist(), strict=True):
+            element = elements[k]
+            if not (value > 0 or element.letter == "K") or abs(value) > (1 if element.letter == "K" else np.inf):
+                raise StructureError(f"{name} is {value:.6g}; R, L and C must be positive, and couplings from -1 to 1")
+            elements[k] = replace(element, value=value)
+        return _system(elements, dict(self._labels))
+
+
+def _opened(elements: Sequence[Element], parameters: Any, labels: dict[str, Any]) -> NetlistFunction:
+    """A circuit with the values of some elements left open."""
+    if isinstance(parameters, str) or not all(isinstance(name, str) for name in parameters):
+        raise StructureError(f"parameters are {_checks.shown(parameters)}; they must be names of elements, ['R1', ..]")
+    known = {element.name.upper(): k for k, element in enumerate(elements) if element.letter in _VALUED}
+    wanted = [name.upper() for name in parameters]
+    missing = [name for name, upper in zip(parameters, wanted, strict=True) if upper not in known]
+    if missing or not wanted or len(set(wanted)) < len(wanted):
+        what = f"there is no {missing[0]!r}" if missing else "they must be different, and one at least"
+        raise StructureError(
+            f"parameters are {_checks.shown(list(parameters))}: {what}; elements with a value are "
+            f"{', '.join(elements[k].name for k in known.values()) or 'none'}"
+        )
+    places = tuple(known[name] for name in wanted)
+    values = _checks.readonly(np.array([elements[k].value for k in places]))
+    return NetlistFunction(tuple(elements[k].name for k in places), values, tuple(elements), places, labels)
 
 
 def _system(elements: Sequence[Element], names: dict[str, Any]) -> DissipativePortHamiltonian:

@@ -11,6 +11,7 @@ from ..diagnosis.coloured_noise import fitted_noise
 from ..estimates.estimates import Estimates
 from ..judge.evidence import Evidence
 from ..judge.message import message_of
+from ..parameters.fitted_parameters import FittedParameters
 from ..search.circumstances import Finding
 from ..structure.choice import Choice, Request
 from ..uncertainty.noise_model import NoiseModel
@@ -67,7 +68,14 @@ def _result(estimates: Estimates, findings: tuple[Finding, ...]) -> PEMResult:
         method=free.method,
         blind=bool(evidence.blind),
         noise=_noise(estimates),
+        fitted_parameters=_parameters(estimates),
     )
+
+
+def _parameters(estimates: Estimates) -> FittedParameters | None:
+    """Parameters of a system function, with the variance of the rows."""
+    physical = estimates.fit.physical
+    return physical and replace(physical, covariance=_checks.readonly(estimates.fit.variance * physical.covariance))
 
 
 def _order_table(estimates: Estimates) -> tuple[OrderRow, ...]:

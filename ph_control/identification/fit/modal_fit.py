@@ -48,7 +48,7 @@ def fit_channels(
         limited = replace(options, max_order=min(most, options.max_order))
         return _of_modes_and_inputs(channels, request, limited, start, findings, order)
 
-    if not are_alone(channels, request.structure, options):
+    if request.function is not None or not are_alone(channels, request.structure, options):
         return of_modes()
     recordings = [data for data in channels if isinstance(data, Recording)]
     return of_outputs_alone(recordings, request, options, order, of_modes)
@@ -88,7 +88,8 @@ def _of_modes_and_inputs(
         free = free if free.rival is None or free.intersample == result.intersample else free.rival
         free = _of_modes(free, imaginary(result.d[result.kappa > 0]))
         result = _structured(free, request, findings)
-    if free.beside is not None and options.noise == "auto" and is_refused(request.structure, result.tests):
+    given = request.function is None and options.noise == "auto"
+    if free.beside is not None and given and is_refused(request.structure, result.tests):
         # what such a model leaves is no noise, and its distance from the likeliest is no small one
         try:
             return _of_modes_and_inputs(channels, request, replace(options, noise="white"), start, findings, order)

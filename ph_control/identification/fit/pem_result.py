@@ -32,6 +32,7 @@ from ..estimates.scaled_shapes import ModeShapes, Ports
 from ..estimates.stabilisation import Orders
 from ..growth.choosing import orders_about
 from ..innovations.ambient import orders_of
+from ..parameters.fitted_parameters import FittedParameters
 from ..regression.free import Lateness
 from ..regression.free_prediction import (
     FittedChannels,
@@ -44,6 +45,7 @@ from ..regression.prediction import FittedExperiment, ResponseBackground, output
 from ..search.channel_rows import RowOptions
 from ..search.circumstances import Cause, Finding
 from ..structure.layout import POWERS, residue_of_unit_weight, weights_of
+from ..structure.parametric import PARAMETRIC
 from ..uncertainty.draws import draw
 from ..uncertainty.modal_draws import ModalSamples
 from ..uncertainty.noise_model import NoiseModel
@@ -63,8 +65,8 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
 
     Attributes
     ----------
-    structure : {'lossless', 'classical', 'passive', 'free'}
-        What the model assumes of losses and sensors.
+    structure : {'lossless', 'classical', 'passive', 'free', 'parametric'}
+        What the model assumes of losses and sensors; 'parametric' is a function of parameters that was given.
     poles : ndarray of complex, shape (N,)
         Those of positive imaginary part, by their natural frequencies, then the real ones, the slowest first.
     residues : ndarray of complex, shape (N, p, m)
@@ -125,6 +127,11 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
         frequency responses.
     blind : bool
         Whether the input does not show the residues: other residues, with other initial motions, give the same outputs.
+    fitted_parameters : FittedParameters or None
+        Of a fit of a model function: names, `values`, `covariance`, `stderr` and `correlations` of its parameters, and
+        the number of `evaluations` of the function.
+    parameters : ndarray, shape (P,)
+        Their values.
     delay, delay_stderr : ndarray, shape (p,)
         Time by which each output comes later than the response to the inputs, 0 where none was found, and its standard
         error: 0 of a delay that was given, NaN of one that is known to a sample only.  Predictions have it, `system`
@@ -145,8 +152,8 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
     stderr : mapping
         Standard errors under the keys 'natural_frequencies', 'hertz', 'damping_ratios', 'real_poles',
         'time_constants', 'residues', 'shapes', 'feedthrough', 'delay', 'offset', 'd', and where they mean something
-        'r', 'kappa' and 'initial_state'; those of complex numbers are complex, of real and imaginary part.  NaN for
-        what was not estimated, infinite for what the input does not show.
+        'r', 'kappa', 'initial_state' and 'parameters'; those of complex numbers are complex, of real and imaginary
+        part.  NaN for what was not estimated, infinite for what the input does not show.
 
     Examples
     --------
@@ -186,6 +193,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
     method: str = "exact"
     blind: bool = False
     noise: NoiseModel | None = None
+    fitted_parameters: FittedParameters | None = None
     stderr: Mapping[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -217,6 +225,8 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
             parts["residues"] = np.where(unknown, complex(np.inf, np.inf), parts["residues"])
         if self._has_weights:
             parts |= self._weight_errors()
+        if self.fitted_parameters is not None:
+            parts["parameters"] = self.fitted_parameters.stderr
         if self._moves_as_state:
             states = [data.initial_stderr for data in self.experiments if isinstance(data, FittedExperiment)]
             parts["initial_state"] = states[0] if len(states) == 1 else np.array(states)
@@ -253,6 +263,16 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
     def d(self) -> Array:
         """Natural frequencies: `natural_frequencies`."""
         return self.natural_frequencies
+
+    @property
+    def parameters(self) -> Array:
+        """Parameters of the model function, shape (P,)."""
+        if self.fitted_parameters is None:
+            raise NoSuchQuantityError(
+                "this fit has modes and no physical parameters; pem(data, model=f, parameters=theta0) estimates those "
+                "of a function f"
+            )
+        return self.fitted_parameters.values
 
     # --- weights of models of one input and one output -------------------------------------------------------------
 
@@ -364,7 +384,11 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
             known_as = {"inputs": _checks.without_dots(self.input_labels),
                         "outputs": _checks.without_dots(self.output_labels)}  # fmt: skip
             return with_unit(PortHamiltonian._from_modes(self.modes, **known_as), self.time_unit)
-        if self.structure == "free" or sorted(inputs) != list(range(len(self.input_labels))) or not inputs:
+        if (
+            self.structure in ("free", PARAMETRIC)
+            or sorted(inputs) != list(range(len(self.input_labels)))
+            or not inputs
+        ):
             return self.observed_system
         ports = sorted(self.ports, key=lambda port: port[1])
         velocities = [o for o, _ in ports]
@@ -552,7 +576,11 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
             warnings.simplefilter("ignore", ConditioningWarning)
             for poles, residues, through in zip(draws.poles, draws.residues, draws.feedthrough, strict=True):
                 drawn = replace(self, poles=poles, residues=residues, feedthrough=through)
-                active = self.structure != "free" and ported and not isinstance(drawn.system, PortHamiltonian)
+                active = (
+                    self.structure not in ("free", PARAMETRIC)
+                    and ported
+                    and not isinstance(drawn.system, PortHamiltonian)
+                )
                 systems.append(nearest_passive(drawn, weight="h2") if active else drawn.system)
         return systems
 

@@ -41,7 +41,9 @@ class ModalReport(Report):
         return mode_table(self)
 
     def _tables(self: Any) -> list[list[str]]:
-        shown = (self._mode_table(), real_pole_table(self), test_table(self.tests))
+        shown = (
+            parameter_table(self.fitted_parameters), self._mode_table(), real_pole_table(self), test_table(self.tests),
+        )  # fmt: skip
         return [aligned(table) for table in shown if len(table) > 1]
 
     def _lines(self: Any) -> list[str]:
@@ -107,6 +109,17 @@ def mode_table(model: Any) -> list[list[str]]:
         cells = [text for value, error in pairs for text in (to_its_error(value, error), to_its_error(error, error))]
         rows.append([str(k + 1), *cells, last[k]])
     return [head, *rows]
+
+
+def parameter_table(fitted: Any) -> list[list[str]]:
+    """Cells of a table of the parameters of a model function, a head first; the head alone where there are none."""
+    rows = [["parameter", "value", "+-", "[%]", "start"]]
+    if fitted is None:
+        return rows
+    for name, value, error, start in zip(fitted.names, fitted.values, fitted.stderr, fitted.start, strict=True):
+        share = f"{100 * error / abs(value):.2g}" if value and np.isfinite(error) else "-"
+        rows.append([name, to_its_error(value, error), to_its_error(error, error), share, f"{start:.6g}"])
+    return rows
 
 
 def real_pole_table(model: Any) -> list[list[str]]:

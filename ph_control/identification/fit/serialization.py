@@ -22,11 +22,13 @@ from ..data.frequency_record import FrequencyRecord
 from ..data.line_errors import LineErrors
 from ..data.time_record import InTime, Record
 from ..diagnosis.verdict import Outcome
+from ..parameters.fitted_parameters import FittedParameters
 from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import QUANTITIES
 from ..regression.prediction import FittedExperiment, ResponseBackground
 from ..structure.hypothesis_tests import STRUCTURES
 from ..structure.layout import POWERS, residue_of_unit_weight
+from ..structure.parametric import PARAMETRIC
 from ..uncertainty.noise_model import NoiseModel
 from .pem_result import PEMResult
 from .result import OrderRow
@@ -34,16 +36,18 @@ from .result import OrderRow
 _KEYS = {"u": "input", "y": "output", "outcome": "verdict"}  # fields under another name in a document
 _WORDS = {
     "method": METHODS, "intersample": INTERSAMPLE, "quantity": QUANTITIES,
-    "time_unit": SECONDS, "structure": STRUCTURES,
+    "time_unit": SECONDS, "structure": (*STRUCTURES, PARAMETRIC),
 }  # fmt: skip
 # older files do not have them, or they are left out where there is nothing to say
 _MAY_LACK = {
     "drift", "output", "experiment", "findings", "tests", "time_unit", "title", "method", "blind",
     "initial_stderr", "offset_stderr", "noise_scale", "delay", "delay_stderr", "input_delay", "background",
     "window", "errors", "noise", "colours", "forces", "cross", "states", "apart",
+    "fitted_parameters",
 }  # fmt: skip
 _MAY_BE_NAN = {
     "covariance", "offset_stderr", "initial_stderr", "y", "response", "shape_stderr", "delay_stderr",
+    "lower", "upper",
 }  # fmt: skip
 
 # the length of each array, None where the file decides it; of places in a list, how many there are
@@ -281,8 +285,22 @@ def _modal_from_dict(fields: Fields, records: Sequence[Any] = ()) -> Any:
     covariance[rows, columns] = covariance[columns, rows] = fields.array("covariance", (len(rows),), finite=False)
     return _read(
         PEMResult, fields, shapes, experiments=experiments, ports=tuple(pairs), covariance=covariance,
-        order_table=_order_table(fields), noise=_noise(fields, outputs),
+        order_table=_order_table(fields), noise=_noise(fields, outputs), fitted_parameters=_parameters(fields),
     )  # fmt: skip
+
+
+def _parameters(fields: Fields) -> FittedParameters | None:
+    """Parameters of a model function; None of other fits."""
+    if "fitted_parameters" not in fields:
+        return None
+    inner = fields.nested("fitted_parameters")
+    count = len(inner.texts("names"))
+    vector: tuple[int | None, ...] = (count,)
+    shapes: Shapes = {
+        "values": vector, "start": vector, "lower": vector, "upper": vector, "covariance": (count, count),
+        "hidden": (None, count),
+    }  # fmt: skip
+    return _read(FittedParameters, inner, shapes)
 
 
 def _from_dict(fields: Fields) -> Any:

@@ -60,11 +60,15 @@ class Cause(Enum):
     HAMMER_NOISE = "noise of a hammer's force between its contacts"
     LARGEST_ORDER = "as many modes as the search may find"
     FEWER_MODES = "fewer modes than the order that was given"
+    WRONG_MODEL = "responses that no parameters of the model function give"
+    PARAMETER_BOUND = "a parameter that ends at a bound"
+    UNIDENTIFIED = "a combination of parameters that leaves no trace"
 
 
 REJECTED = {
     "lossless": Cause.LOSSES, "classical": Cause.COMPLEX_SHAPES, "passive": Cause.ACTIVITY,
     "rank one": Cause.SEVERAL_SHAPES, "reciprocal": Cause.ONE_WAY,
+    "parametric": Cause.WRONG_MODEL,
 }  # fmt: skip  # what the data show where they reject a hypothesis
 
 
@@ -94,11 +98,13 @@ class Finding:
         those that it is the sum of; of wild lines their frequencies, rad per unit time; of the largest order that
         order; of fewer modes the order that was given, and how many reproduce the data; of forces that were not
         measured the root mean square of what inputs do not explain over that of each output; of noise that outputs
-        share the largest correlation.
+        share the largest correlation; of a parameter at a bound its value; of a combination of parameters the relative
+        changes of all that leave no trace together.
     gain : float
         How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers and ends of the range.
     output : str
-        The output that shows it, of several channels; of a response with its input; of a dead time the input.
+        The output that shows it, of several channels; of a response with its input; of a dead time the input; of
+        parameters their names.
     experiment : int
         Which of several experiments has these outliers, or that range, counted from 0.
     """
@@ -399,6 +405,18 @@ def _of_fewer_modes(finding: Finding, terms: _Terms) -> str:
     )
 
 
+def _of_parameter_bound(finding: Finding, terms: _Terms) -> str:
+    return (
+        f"{finding.output} ended at its bound {finding.values[0]:.6g}, and is held there: others have their errors so."
+    )
+
+
+def _of_unidentified(finding: Finding, terms: _Terms) -> str:
+    several = sum(abs(value) > 1e-3 for value in finding.values) > 1
+    what = "The combination of relative changes" if several else "The parameter"
+    return f"{what} {finding.output} leaves no trace in the data: hold it, or measure where it shows."
+
+
 def _of_outliers(finding: Finding, terms: _Terms) -> str:
     which = f"Values of {finding.output!r}{_experiment(finding, 'in')}"
     return far_out(which, [str(int(place)) for place in finding.values])
@@ -423,7 +441,8 @@ _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
     Cause.CHANGING_MODE: _of_changing_mode, Cause.MULTIPLE: _of_multiple,
     Cause.HAMMER_NOISE: _of_hammer_noise, Cause.SATURATION: _of_saturation, Cause.WILD_LINES: _of_wild_lines,
     Cause.LARGEST_ORDER: _of_largest_order, Cause.FEWER_MODES: _of_fewer_modes, Cause.OUTLIERS: _of_outliers,
-    Cause.INPUT_NOISE: _of_input_noise, **dict.fromkeys(REJECTED.values(), _of_rejection),
+    Cause.INPUT_NOISE: _of_input_noise, Cause.PARAMETER_BOUND: _of_parameter_bound,
+    Cause.UNIDENTIFIED: _of_unidentified, **dict.fromkeys(REJECTED.values(), _of_rejection),
 }  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..diagnosis.verdict import HypothesisTest
+from ..parameters.model_function import ModelFunction
 from ..regression.tuning import TUNING
 from ..search.circumstances import HOLDS, Cause, Finding
 from ..search.fitted_modes import FreeFit, feedthrough_of
@@ -14,6 +15,7 @@ from .constrained import StructuredFit, constrained
 from .delayed import cost_of
 from .hypothesis_tests import LEVEL, STRUCTURES, choose, given_structure, likelihood_test, structure_tests
 from .layout import ChannelLayout
+from .parametric import fit_parameters
 
 _SAME = 1.0  # difference of the BIC of models that are the same
 
@@ -32,6 +34,7 @@ class Request:
     most: int
     assumed: bool = False
     coloured: bool = True
+    function: ModelFunction | None = None
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,10 @@ class Choice:
     def of(cls, free: FreeFit, request: Request) -> Choice:
         """Fit the structure that is given, or the simplest that is not rejected, with the inputs held as they are."""
         layout, given = layout_of(free, request), request.structure
+        if request.function is not None and not free.interrupted:
+            fitted = fit_parameters(free, layout, request.function)
+            free = replace(free, findings=(*free.findings, *fitted.findings))
+            return cls(free, fitted.fit, (fitted.test,))
         if not free.states:
             return cls(free, _without_modes(free), ())
         if given == "free" or free.interrupted:
@@ -72,6 +79,8 @@ class Choice:
         """Whether the structure is one that is not rejected within the free model."""
         if request.structure == "auto":
             return self.fit.structure in STRUCTURES[:2]
+        if request.function is not None:
+            return self.tests[0].p >= LEVEL
         projection = self.free.projection
         unknowns = len(projection.x) + int(projection.shown.sum()) - projection.deficiency
         return likelihood_test(projection, self.fit, max(0, unknowns - self.fit.parameters)).p >= LEVEL

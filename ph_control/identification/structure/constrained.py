@@ -19,6 +19,7 @@ from ..._checks import EPS
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..data.windowed import crossed_scores, share_errors
+from ..parameters.fitted_parameters import FittedParameters, ParametricPoint
 from ..regression.elimination import LinearProjection, tolerance
 from ..regression.free import Delays, FreeProjection, GivenResidues, Sensitivity
 from ..regression.sections import PoleRegion
@@ -68,10 +69,12 @@ class StructuredFit(Frozen):
         The data at this model.
     converged : bool
         Whether the loss has come to its minimum.
-    point : ConstrainedProjection, PassivePoint or FreeProjection
+    point : ConstrainedProjection, PassivePoint, ParametricPoint or FreeProjection
         What the covariance is made of.
     delays : Delays or None
         Delays of the outputs of the projection, where they were fitted; `parameters` count them.
+    physical : FittedParameters or None
+        Parameters of a system function, with the covariance for rows of variance 1.
     """
 
     hypothesis: str
@@ -86,8 +89,9 @@ class StructuredFit(Frozen):
     variance: float
     projection: FreeProjection
     converged: bool
-    point: ConstrainedProjection | PassivePoint | FreeProjection
+    point: ConstrainedProjection | PassivePoint | ParametricPoint | FreeProjection
     delays: Delays | None = None
+    physical: FittedParameters | None = None
 
     @cached_property
     def covariance(self) -> Array:

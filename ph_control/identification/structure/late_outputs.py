@@ -32,6 +32,8 @@ def with_late_outputs(
     if not (free.delay_open and free.order and free.projection.inputs) or free.interrupted:
         return best
     late, stands = bool(free.delay.any()), best.stands(request)
+    if request.function is not None:
+        return best
     if request.structure == "passive" or (stands and not late):
         return best
     if stands:
