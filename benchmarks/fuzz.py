@@ -62,14 +62,14 @@ ANSWERS = (
     "ExpressivePower", "FittedChannels", "FittedExperiment", "GradientResult", "KalmanDecomposition",
     "ModalSamples", "MorphismCheck", "Netlist", "OrderSelection", "PEMResult", "PassivityReport", "ResidualAnalysis",
     "ScaledCoefficients", "StructuralModes", "Symmetry", "Verdict", "UniversalModes", "FitTable", "ModeTracks",
-    "OptimalDamping", "RecordingFitted", "ResponseBackground", "Stabilisation",
+    "OptimalDamping", "RecordingFitted", "ResponseBackground", "Stabilisation", "InputDesign", "PlantExcitation",
 )  # fmt: skip
 
 # share of the calls, next to 1 for what takes less than a millisecond or so
 SHARES = {
     "pem": 0.2, "prediction_error_fit": 0.02, "order_selection": 0.05, "compare": 0.2, "residual_analysis": 0.1,
     "gradient_descent": 0.1, "excitation": 0.2, "spectral_estimate": 0.5, "PEMResult.bootstrap": 0.005,
-    "load": 3.0, "read_csv": 3.0, "read_frequency_csv": 2.0,
+    "design_input": 0.05, "load": 3.0, "read_csv": 3.0, "read_frequency_csv": 2.0,
     "read_uff": 1.0, "read_touchstone": 1.0, "read_mat": 1.0, "read_frequency_mat": 1.0,
     "read_netlist": 2.0,
 }  # fmt: skip

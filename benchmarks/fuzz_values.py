@@ -277,6 +277,10 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "PEMResult.predict.data": lambda draw: pick(draw.rng, [np.ones(12), *pool("data")]),
     "predict.u": lambda draw: np.ones(12), "u": lambda draw: np.ones(12),
     "pem.initial_state": _choice("estimate", "zero"), "compare.initial_state": _choice("estimate", "zero"),
+    "for_": _choice("damping_ratios", "natural_frequencies", "poles", "residues"), "rms": _choice(None, 1.0),
+    "peak": _choice(1.0, 2.0), "samples": _integers(60, 120), "design_input.dt": _choice(0.1),
+    "design_input.noise_std": _choice(0.1), "design_input.band": _choice(None, (0.5, 20.0)),
+    "design_input.model": lambda draw: pick(draw.rng, [*pool("PEMResult")[:2], *pool("system")[:2]]),
     "excitation.initial_state": _choice("estimate", "zero"), "order_selection.initial_state": _choice("estimate"),
     "residual_analysis.initial_state": _choice("estimate", "zero"),
     "PEMResult.predict.initial_state": _choice(None, "fitted", "final", "zero", "estimate"),
@@ -416,6 +420,10 @@ def _on_a_background() -> phc.ResponseBackground:
     return phc.pem(ct.frd(s / (s**2 + 0.04 * s + 1) + 0.05 * s + noise, s.imag), 1, structure="free").background
 
 
+def _damped_mode() -> Any:
+    return phc.modes([2.0], [1.0], damping=0.05)
+
+
 def _written_modes() -> list[Any]:
     phc.write_uff(pool("PEMResult")[0], "modes.uff", places=["1+Z"], overwrite=True)
     return list(phc.read_uff("modes.uff"))
@@ -533,6 +541,8 @@ _POOLS |= {
     "Stabilisation": lambda: [pool("PEMResult")[0].stabilisation(1)],
     "UniversalModes": lambda: _written_modes(),
     "Excitation": lambda: [phc.excitation((u, None), 2, dt=0.1) for u in (np.sin(np.arange(80.0)), _record(1)[1])],
+    "PlantExcitation": lambda: [phc.excitation((np.sin(np.arange(80.0)), None), _damped_mode(), dt=0.1)],
+    "InputDesign": lambda: [phc.design_input(_damped_mode(), 80, 0.1, peak=1.0, noise_std=0.1)],
     "GradientResult": lambda: [phc.gradient_descent(_record(1)[1:], 1, dt=0.1, epochs=2)],
     "OrderSelection": lambda: [phc.order_selection(_record(1)[1:], 2, dt=0.1)],
     "FittedExperiment": lambda: [

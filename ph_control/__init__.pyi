@@ -57,7 +57,10 @@ from .exceptions import StructureError as StructureError
 from .exceptions import UnknownKeywordError as UnknownKeywordError
 from .identification.data.data_frames import recording as recording
 from .identification.estimates.stabilisation import Stabilisation as Stabilisation
+from .identification.excitation.design_input import InputDesign as InputDesign
+from .identification.excitation.design_input import design_input as design_input
 from .identification.excitation.excitation import excitation as excitation
+from .identification.excitation.plant_excitation import PlantExcitation as PlantExcitation
 from .identification.excitation.report import Excitation as Excitation
 from .identification.fit.bootstrap import Bootstrap as Bootstrap
 from .identification.fit.gradient import GradientResult as GradientResult

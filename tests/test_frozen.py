@@ -44,6 +44,8 @@ def _results():
         phc.excitation((u, None), 1, dt=0.1).information, *(fit.experiments[0] for fit in fits),
         *(fit.record for fit in fits[2:]), phc.compare((u, y), fits[0], plant, dt=0.1),
         phc.residual_analysis((u, y), fits[0], dt=0.1), phc.order_selection((u, y), 2, dt=0.1),
+        phc.design_input(fits[0], 60, 0.1, peak=1.0, for_="natural_frequencies"),
+        phc.excitation((u, None), phc.modes(1.0, 1.0, damping=0.1), dt=0.1),
         phc.excitation((u, None), 1, dt=0.1), phc.NoiseModel([[1.0]], 0.1, [[0.5]]),
         many, many.track(shortest=1), fits[0].stabilisation(1),
         phc.RecordingFitted(1, 0, None, "name", "message"),
