@@ -62,7 +62,8 @@ ANSWERS = (
     "ExpressivePower", "FittedChannels", "FittedExperiment", "GradientResult", "KalmanDecomposition",
     "ModalSamples", "MorphismCheck", "Netlist", "OrderSelection", "PEMResult", "PassivityReport", "ResidualAnalysis",
     "ScaledCoefficients", "StructuralModes", "Symmetry", "Verdict", "UniversalModes", "FitTable", "ModeTracks",
-    "OptimalDamping", "RecordingFitted", "ResponseBackground", "Stabilisation", "InputDesign", "PlantExcitation",
+    "OptimalDamping", "RecordingFitted", "ResponseBackground", "Stabilisation", "BaseMotion", "InputDesign",
+    "PlantExcitation",
 )  # fmt: skip
 
 # share of the calls, next to 1 for what takes less than a millisecond or so

@@ -56,6 +56,7 @@ from .exceptions import ResolutionWarning as ResolutionWarning
 from .exceptions import StructureError as StructureError
 from .exceptions import UnknownKeywordError as UnknownKeywordError
 from .identification.data.data_frames import recording as recording
+from .identification.estimates.base_participation import base_motion as base_motion
 from .identification.estimates.stabilisation import Stabilisation as Stabilisation
 from .identification.excitation.design_input import InputDesign as InputDesign
 from .identification.excitation.design_input import design_input as design_input
@@ -117,6 +118,7 @@ from .reduction.nearest_passive import nearest_passive as nearest_passive
 from .reduction.pymor_bridge import from_pymor as from_pymor
 from .reduction.pymor_bridge import to_pymor as to_pymor
 from .reduction.reduce import reduce as reduce
+from .structures.base_motion import BaseMotion as BaseMotion
 from .structures.modal_reduction import StructuralModes as StructuralModes
 from .structures.second_order import from_second_order as from_second_order
 from .structures.second_order_system import SecondOrderSystem as SecondOrderSystem

@@ -89,32 +89,32 @@ def test_the_spectrum_is_as_good_as_that_of_a_general_solver(seed, purpose):
     T, h, band, n = 60, 1.0, (0.3, 2.2), 2
     d = np.array([rng.uniform(0.6, 1.0), rng.uniform(1.2, 2.0)])
     plant = phc.modes(d, rng.uniform(0.3, 1.0, n), damping=rng.uniform(0.05, 0.1, n))
-    found = phc.design_input(plant, T, h, rms=1.3, band=band, for_=purpose, noise_std=0.2)
+    designed = phc.design_input(plant, T, h, rms=1.3, band=band, for_=purpose, noise_std=0.2)
     theta, omega = parameters(plant), 2 * np.pi * np.arange(3, 22) / (T * h)
     D, first = line_sensitivities(theta, omega, h), n * (purpose == "damping_ratios")
 
     least = least_by_a_general_solver(D, theta, T, 0.2, first) / 1.3**2
     power = np.zeros(len(omega))
-    power[np.searchsorted(omega, found.frequencies * (1 - 1e-9))] = found.spectrum[0]
+    power[np.searchsorted(omega, designed.frequencies * (1 - 1e-9))] = designed.spectrum[0]
     reached, _ = criterion(power, D, theta, T, 0.2, first)
-    assert found.criterion == pytest.approx(reached, rel=1e-4)
+    assert designed.criterion == pytest.approx(reached, rel=1e-4)
     assert reached == pytest.approx(least, rel=2e-3)
-    assert found.criterion == pytest.approx(found.least_criterion, rel=1e-3)
+    assert designed.criterion == pytest.approx(designed.least_criterion, rel=1e-3)
 
 
 # --- the signal -------------------------------------------------------------------------------------------------------
 
 
 def test_the_signal_has_the_spectrum_that_is_stated_and_keeps_its_limits():
-    found = phc.design_input(LIGHT, SAMPLES, STEP, rms=0.4, noise_std=0.05)
-    power = 2 * np.abs(np.fft.rfft(found.signal[0]) / SAMPLES) ** 2
-    bins = np.rint(found.frequencies * SAMPLES * STEP / (2 * np.pi)).astype(int)
-    assert power[bins] == pytest.approx(found.spectrum[0], rel=1e-6, abs=1e-9 * power.max())
+    designed = phc.design_input(LIGHT, SAMPLES, STEP, rms=0.4, noise_std=0.05)
+    power = 2 * np.abs(np.fft.rfft(designed.signal[0]) / SAMPLES) ** 2
+    bins = np.rint(designed.frequencies * SAMPLES * STEP / (2 * np.pi)).astype(int)
+    assert power[bins] == pytest.approx(designed.spectrum[0], rel=1e-6, abs=1e-9 * power.max())
     assert np.delete(power, bins).max() < 1e-20
-    assert found.rms == pytest.approx([0.4]) and found.spectrum.sum() == pytest.approx(0.16)
-    assert found.peak_factor == pytest.approx(np.abs(found.signal).max(axis=1) / 0.4)
-    assert found.optimal_spectrum == pytest.approx(found.spectrum, rel=0.05, abs=1e-3)
-    assert np.array_equal(found.time, STEP * np.arange(SAMPLES))
+    assert designed.rms == pytest.approx([0.4]) and designed.spectrum.sum() == pytest.approx(0.16)
+    assert designed.peak_factor == pytest.approx(np.abs(designed.signal).max(axis=1) / 0.4)
+    assert designed.optimal_spectrum == pytest.approx(designed.spectrum, rel=0.05, abs=1e-3)
+    assert np.array_equal(designed.time, STEP * np.arange(SAMPLES))
 
 
 def test_a_limited_peak_is_reached_and_a_low_one():
@@ -165,8 +165,8 @@ def test_each_purpose_is_served_best_by_its_own_input():
     purposes = ("damping_ratios", "real_poles", "residues")
     designs = {name: phc.design_input(plant, 800, 0.3, rms=1.0, noise_std=0.1, for_=name) for name in purposes}
 
-    def relative(found, name):
-        errors, values = found.stderr[name], found.values[name]
+    def relative(designed, name):
+        errors, values = designed.stderr[name], designed.values[name]
         sizes = np.linalg.norm(values.reshape(len(values), -1), axis=1) if name == "residues" else np.abs(values)
         return np.sum(np.abs(errors.reshape(len(values), -1)) ** 2 / sizes[:, None] ** 2)
 
@@ -176,14 +176,14 @@ def test_each_purpose_is_served_best_by_its_own_input():
 
 def test_several_inputs_have_lines_of_their_own_and_limits_of_their_own():
     plant = phc.modes([-0.05 + 1j, -0.2 + 3j], [[1.0, 0.5], [0.5, -1.0]], [[1.0, 0.3j], [0.2, 1.0]])
-    found = phc.design_input(plant, 600, 0.2, rms=[1.0, 2.0], noise_std=[0.1, 0.2], for_="residues")
-    assert found.signal.shape == (2, 600) and found.rms == pytest.approx([1.0, 2.0])
-    assert not np.any(found.spectrum[0] * found.spectrum[1]) and np.all(found.spectrum.any(axis=1))
+    designed = phc.design_input(plant, 600, 0.2, rms=[1.0, 2.0], noise_std=[0.1, 0.2], for_="residues")
+    assert designed.signal.shape == (2, 600) and designed.rms == pytest.approx([1.0, 2.0])
+    assert not np.any(designed.spectrum[0] * designed.spectrum[1]) and np.all(designed.spectrum.any(axis=1))
     white = np.random.default_rng(0).standard_normal((2, 600)) * [[1.0], [2.0]]
     other = phc.excitation((white, None), plant, dt=0.2, noise_std=[0.1, 0.2])
-    same = phc.excitation((found.signal, None), plant, dt=0.2, noise_std=[0.1, 0.2])
-    assert np.array_equal(same.stderr["residues"], found.stderr["residues"])
-    assert np.sum(np.abs(found.stderr["residues"]) ** 2) < 0.3 * np.sum(np.abs(other.stderr["residues"]) ** 2)
+    same = phc.excitation((designed.signal, None), plant, dt=0.2, noise_std=[0.1, 0.2])
+    assert np.array_equal(same.stderr["residues"], designed.stderr["residues"])
+    assert np.sum(np.abs(designed.stderr["residues"]) ** 2) < 0.3 * np.sum(np.abs(other.stderr["residues"]) ** 2)
 
 
 def test_noise_of_a_fit_moves_power_to_where_it_is_little():
@@ -198,7 +198,7 @@ def test_noise_of_a_fit_moves_power_to_where_it_is_little():
     fit = phc.pem((u, y + e[100:]), 2, dt=h, structure="free", delay=0)
     coloured = phc.design_input(fit, 1500, h, rms=1.0)
     white = phc.design_input(fit, 1500, h, rms=1.0, noise_std=0.1)
-    share = [found.spectrum[0, found.frequencies < 1.5].sum() for found in (coloured, white)]
+    share = [designed.spectrum[0, designed.frequencies < 1.5].sum() for designed in (coloured, white)]
     spectra = low.spectrum([1.0, 2.0])[0, 0].real
     assert spectra[0] > 3 * spectra[1] and share[0] > 1.3 * share[1]
     with pytest.raises(phc.StructureError, match=r"samples 0.5 apart, and dt is 0.25"):
@@ -221,12 +221,12 @@ def test_lossless_modes_and_lags_have_inputs_too():
     chain = phc.design_input(phc.frenkel_kontorova(2), 500, 0.2, peak=1.0, noise_std=0.1)
     assert np.all(chain.stderr["damping_ratios"] < 1e-3)
     lag = ct.tf([1.0], [5.0, 1.0])
-    found = phc.design_input(lag, 300, 0.5, rms=1.0, noise_std=0.1, for_="time_constants")
-    assert found.values["time_constants"] == pytest.approx([5.0])
+    designed = phc.design_input(lag, 300, 0.5, rms=1.0, noise_std=0.1, for_="time_constants")
+    assert designed.values["time_constants"] == pytest.approx([5.0])
     # the best lines of a lag lie about its corner
-    middle = found.frequencies @ found.spectrum[0] / found.spectrum.sum()
-    assert 0.05 < middle < 1.0 and found.stderr["time_constants"] < 0.5
-    assert "real pole" in found.summary()
+    middle = designed.frequencies @ designed.spectrum[0] / designed.spectrum.sum()
+    assert 0.05 < middle < 1.0 and designed.stderr["time_constants"] < 0.5
+    assert "real pole" in designed.summary()
 
 
 @pytest.mark.parametrize(
@@ -260,5 +260,5 @@ def test_a_structure_without_damping_has_none_to_learn():
     fit = phc.pem((u, y + 0.05 * rng.standard_normal(500)), 2, dt=0.2, structure="lossless")
     with pytest.raises(phc.StructureError, match=r"no damping ratios that are unknown.*'lossless'"):
         phc.design_input(fit, 500, 0.2, peak=1.0)
-    found = phc.design_input(fit, 500, 0.2, peak=1.0, for_="natural_frequencies")
-    assert np.all(found.stderr["natural_frequencies"] < fit.stderr["natural_frequencies"])
+    designed = phc.design_input(fit, 500, 0.2, peak=1.0, for_="natural_frequencies")
+    assert np.all(designed.stderr["natural_frequencies"] < fit.stderr["natural_frequencies"])

@@ -789,8 +789,8 @@ def dense_covariance(noise, T):
             answers[:, k] += row * (answers[:, k - 1 - i] if k > i else 0.0)
     lags = np.subtract.outer(np.arange(T), np.arange(T))
     return np.block([
-        [noise.covariance[a, b] * np.correlate(one, other, "full")[np.clip(499 + lags, 0, 998)]
-         * (np.abs(lags) < 500) for b, other in enumerate(answers)] for a, one in enumerate(answers)
+        [noise.covariance[a, b] * np.correlate(answer, other, "full")[np.clip(499 + lags, 0, 998)]
+         * (np.abs(lags) < 500) for b, other in enumerate(answers)] for a, answer in enumerate(answers)
     ])  # fmt: skip
 
 
@@ -889,11 +889,11 @@ def test_inputs_that_are_one_do_not_show_what_each_does():
 def test_bounds_of_a_plant_follow_units_of_time_and_of_signals(size):
     (model, _), h = damped_model(), 0.2
     u = np.random.default_rng(5).standard_normal((2, 200))
-    one = phc.excitation((u, None), model, dt=h, noise_std=0.1).stderr
+    plain = phc.excitation((u, None), model, dt=h, noise_std=0.1).stderr
     faster = phc.modes(model.poles[model.poles.imag >= 0] / size, model.shapes, np.asarray(model.participation) / size)
     other = phc.excitation((size * u, None), faster, dt=size * h, noise_std=0.1 * size).stderr
-    assert other["damping_ratios"] == pytest.approx(one["damping_ratios"], rel=1e-6)
-    assert other["natural_frequencies"] == pytest.approx(one["natural_frequencies"] / size, rel=1e-6)
+    assert other["damping_ratios"] == pytest.approx(plain["damping_ratios"], rel=1e-6)
+    assert other["natural_frequencies"] == pytest.approx(plain["natural_frequencies"] / size, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,7 @@ def _results():
         phc.excitation((u, None), 1, dt=0.1).information, *(fit.experiments[0] for fit in fits),
         *(fit.record for fit in fits[2:]), phc.compare((u, y), fits[0], plant, dt=0.1),
         phc.residual_analysis((u, y), fits[0], dt=0.1), phc.order_selection((u, y), 2, dt=0.1),
+        phc.from_second_order(np.eye(2), np.diag([1.0, 4.0]), base=[1.0, 1.0]).base_motion,
         phc.design_input(fits[0], 60, 0.1, peak=1.0, for_="natural_frequencies"),
         phc.excitation((u, None), phc.modes(1.0, 1.0, damping=0.1), dt=0.1),
         phc.excitation((u, None), 1, dt=0.1), phc.NoiseModel([[1.0]], 0.1, [[0.5]]),
