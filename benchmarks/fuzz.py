@@ -84,7 +84,8 @@ INFINITE = re.compile(
 )
 UNKNOWN = re.compile(
     r"margin|[Ee]xcitation|read_|load|FittedExperiment|FittedChannels|Result|[Cc]ompar|[Rr]esidual.?[Aa]nalysis|"
-    r"pem|prediction_error_fit|gradient_descent|order_selection|OrderSelection|[Ss]tabilisation|fit_many|FitTable|ModeTracks"
+    r"pem|prediction_error_fit|gradient_descent|order_selection|OrderSelection|[Ss]tabilisation|fit_many|FitTable|ModeTracks|"
+    r"[Bb]ase.?[Mm]otion|InputDesign|design_input"
 )
 
 REFUSALS = re.compile(

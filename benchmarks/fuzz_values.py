@@ -340,7 +340,10 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "read_uff.path": _file("uff"), "read_touchstone.path": _file("s1p"), "read_mat.path": _file("table"),
     "read_frequency_mat.path": _file("table"), "read_frequency_mat.frequency": _choice("f", "t"),
     "read_frequency_mat.response": _choice("H", ["H", "y"]), "read_frequency_mat.frequency_unit": _choice("Hz"),
-    "read_netlist.source": _file("cir"), "netlist.form": _choice(None, "foster1", "foster2", "cauer1", "cauer2"),
+    "read_netlist.source": _file("cir"),
+    "netlist.form": _choice(None, "foster1", "foster2", "cauer1", "cauer2", "state-space"),
+    "to_c.name": _choice("plant", "loop"), "to_python.name": _choice("plant", "loop"),
+    "to_c.sys": lambda draw: _sampled(), "to_python.sys": lambda draw: _sampled(),
     "netlist.kind": _choice("admittance", "impedance"),
     "parameter": _choice("Z", "Y", "S"), "read_mat.input": _choice(None, "u", False, ["u"]),
     "read_mat.output": _choice(None, "y", ["y"]), "read_mat.time": _choice(None, "t", False),
@@ -420,6 +423,10 @@ def _on_a_background() -> phc.ResponseBackground:
     s, rng = 1j * np.linspace(0.1, 3.0, 120), np.random.default_rng(0)
     noise = 1e-3 * (rng.standard_normal(120) + 1j * rng.standard_normal(120))
     return phc.pem(ct.frd(s / (s**2 + 0.04 * s + 1) + 0.05 * s + noise, s.imag), 1, structure="free").background
+
+
+def _sampled() -> ct.StateSpace:
+    return phc.sample(pool("system")[0], 0.1)
 
 
 def _damped_mode() -> Any:

@@ -10,6 +10,8 @@ from .analysis.margins import stability_margins as stability_margins
 from .analysis.passivity import PassivityReport as PassivityReport
 from .analysis.passivity import passivity as passivity
 from .analysis.sampling import sample as sample
+from .analysis.source_code import to_c as to_c
+from .analysis.source_code import to_python as to_python
 from .analysis.spectral_estimate import spectral_estimate as spectral_estimate
 from .analysis.time_response import forced_response as forced_response
 from .analysis.time_response import impulse_response as impulse_response
