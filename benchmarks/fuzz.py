@@ -62,14 +62,15 @@ ANSWERS = (
     "ExpressivePower", "FittedChannels", "FittedExperiment", "GradientResult", "KalmanDecomposition",
     "ModalSamples", "MorphismCheck", "Netlist", "OrderSelection", "PEMResult", "PassivityReport", "ResidualAnalysis",
     "ScaledCoefficients", "StructuralModes", "Symmetry", "Verdict", "UniversalModes", "FitTable", "ModeTracks",
-    "OptimalDamping", "RecordingFitted", "ResponseBackground", "Stabilisation",
+    "OptimalDamping", "RecordingFitted", "ResponseBackground", "Stabilisation", "BaseMotion", "InputDesign",
+    "PlantExcitation",
 )  # fmt: skip
 
 # share of the calls, next to 1 for what takes less than a millisecond or so
 SHARES = {
     "pem": 0.2, "prediction_error_fit": 0.02, "order_selection": 0.05, "compare": 0.2, "residual_analysis": 0.1,
     "gradient_descent": 0.1, "excitation": 0.2, "spectral_estimate": 0.5, "PEMResult.bootstrap": 0.005,
-    "load": 3.0, "read_csv": 3.0, "read_frequency_csv": 2.0,
+    "design_input": 0.05, "load": 3.0, "read_csv": 3.0, "read_frequency_csv": 2.0,
     "read_uff": 1.0, "read_touchstone": 1.0, "read_mat": 1.0, "read_frequency_mat": 1.0,
     "read_netlist": 2.0,
 }  # fmt: skip
@@ -83,7 +84,8 @@ INFINITE = re.compile(
 )
 UNKNOWN = re.compile(
     r"margin|[Ee]xcitation|read_|load|FittedExperiment|FittedChannels|Result|[Cc]ompar|[Rr]esidual.?[Aa]nalysis|"
-    r"pem|prediction_error_fit|gradient_descent|order_selection|OrderSelection|[Ss]tabilisation|fit_many|FitTable|ModeTracks"
+    r"pem|prediction_error_fit|gradient_descent|order_selection|OrderSelection|[Ss]tabilisation|fit_many|FitTable|ModeTracks|"
+    r"[Bb]ase.?[Mm]otion|InputDesign|design_input"
 )
 
 REFUSALS = re.compile(

@@ -277,6 +277,12 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "PEMResult.predict.data": lambda draw: pick(draw.rng, [np.ones(12), *pool("data")]),
     "predict.u": lambda draw: np.ones(12), "u": lambda draw: np.ones(12),
     "pem.initial_state": _choice("estimate", "zero"), "compare.initial_state": _choice("estimate", "zero"),
+    "base_motion.masses": _choice(None, [1.0]), "base": lambda draw: pick(draw.rng, [None, np.ones(draw.n)]),
+    "base_motion.model": lambda draw: pick(draw.rng, [*pool("PEMResult")[:2], *pool("system")[:2]]),
+    "for_": _choice("damping_ratios", "natural_frequencies", "poles", "residues"), "rms": _choice(None, 1.0),
+    "peak": _choice(1.0, 2.0), "samples": _integers(60, 120), "design_input.dt": _choice(0.1),
+    "design_input.noise_std": _choice(0.1), "design_input.band": _choice(None, (0.5, 20.0)),
+    "design_input.model": lambda draw: pick(draw.rng, [*pool("PEMResult")[:2], *pool("system")[:2]]),
     "excitation.initial_state": _choice("estimate", "zero"), "order_selection.initial_state": _choice("estimate"),
     "residual_analysis.initial_state": _choice("estimate", "zero"),
     "PEMResult.predict.initial_state": _choice(None, "fitted", "final", "zero", "estimate"),
@@ -334,7 +340,10 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "read_uff.path": _file("uff"), "read_touchstone.path": _file("s1p"), "read_mat.path": _file("table"),
     "read_frequency_mat.path": _file("table"), "read_frequency_mat.frequency": _choice("f", "t"),
     "read_frequency_mat.response": _choice("H", ["H", "y"]), "read_frequency_mat.frequency_unit": _choice("Hz"),
-    "read_netlist.source": _file("cir"), "netlist.form": _choice(None, "foster1", "foster2", "cauer1", "cauer2"),
+    "read_netlist.source": _file("cir"),
+    "netlist.form": _choice(None, "foster1", "foster2", "cauer1", "cauer2", "state-space"),
+    "to_c.name": _choice("plant", "loop"), "to_python.name": _choice("plant", "loop"),
+    "to_c.sys": lambda draw: _sampled(), "to_python.sys": lambda draw: _sampled(),
     "netlist.kind": _choice("admittance", "impedance"),
     "parameter": _choice("Z", "Y", "S"), "read_mat.input": _choice(None, "u", False, ["u"]),
     "read_mat.output": _choice(None, "y", ["y"]), "read_mat.time": _choice(None, "t", False),
@@ -414,6 +423,14 @@ def _on_a_background() -> phc.ResponseBackground:
     s, rng = 1j * np.linspace(0.1, 3.0, 120), np.random.default_rng(0)
     noise = 1e-3 * (rng.standard_normal(120) + 1j * rng.standard_normal(120))
     return phc.pem(ct.frd(s / (s**2 + 0.04 * s + 1) + 0.05 * s + noise, s.imag), 1, structure="free").background
+
+
+def _sampled() -> ct.StateSpace:
+    return phc.sample(pool("system")[0], 0.1)
+
+
+def _damped_mode() -> Any:
+    return phc.modes([2.0], [1.0], damping=0.05)
 
 
 def _written_modes() -> list[Any]:
@@ -533,6 +550,9 @@ _POOLS |= {
     "Stabilisation": lambda: [pool("PEMResult")[0].stabilisation(1)],
     "UniversalModes": lambda: _written_modes(),
     "Excitation": lambda: [phc.excitation((u, None), 2, dt=0.1) for u in (np.sin(np.arange(80.0)), _record(1)[1])],
+    "BaseMotion": lambda: [phc.from_second_order(np.eye(2), np.diag([1.0, 4.0]), base=[1.0, 1.0]).base_motion],
+    "PlantExcitation": lambda: [phc.excitation((np.sin(np.arange(80.0)), None), _damped_mode(), dt=0.1)],
+    "InputDesign": lambda: [phc.design_input(_damped_mode(), 80, 0.1, peak=1.0, noise_std=0.1)],
     "GradientResult": lambda: [phc.gradient_descent(_record(1)[1:], 1, dt=0.1, epochs=2)],
     "OrderSelection": lambda: [phc.order_selection(_record(1)[1:], 2, dt=0.1)],
     "FittedExperiment": lambda: [

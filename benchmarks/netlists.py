@@ -85,6 +85,10 @@ def nodal_response(text: str, w: float) -> tuple[Any, list[tuple[str, Any, Any]]
         elif name[0] == "F":
             for a, sign in ((plus, 1), (minus, -1)):
                 add(a, f"i({one[2]})", sign * values[name])
+        elif name[0] == "G":
+            for a, sign in ((plus, 1), (minus, -1)):
+                add(a, one[2], sign * values[name])
+                add(a, one[3], -sign * values[name])
         elif name[0] == "K":
             mutual = values[name] * mpmath.sqrt(values[plus] * values[minus])
             add(f"i({plus})", f"i({minus})", -s * mutual)

@@ -10,6 +10,8 @@ from .analysis.margins import stability_margins as stability_margins
 from .analysis.passivity import PassivityReport as PassivityReport
 from .analysis.passivity import passivity as passivity
 from .analysis.sampling import sample as sample
+from .analysis.source_code import to_c as to_c
+from .analysis.source_code import to_python as to_python
 from .analysis.spectral_estimate import spectral_estimate as spectral_estimate
 from .analysis.time_response import forced_response as forced_response
 from .analysis.time_response import impulse_response as impulse_response
@@ -57,8 +59,12 @@ from .exceptions import ResolutionWarning as ResolutionWarning
 from .exceptions import StructureError as StructureError
 from .exceptions import UnknownKeywordError as UnknownKeywordError
 from .identification.data.data_frames import recording as recording
+from .identification.estimates.base_participation import base_motion as base_motion
 from .identification.estimates.stabilisation import Stabilisation as Stabilisation
+from .identification.excitation.design_input import InputDesign as InputDesign
+from .identification.excitation.design_input import design_input as design_input
 from .identification.excitation.excitation import excitation as excitation
+from .identification.excitation.plant_excitation import PlantExcitation as PlantExcitation
 from .identification.excitation.report import Excitation as Excitation
 from .identification.fit.bootstrap import Bootstrap as Bootstrap
 from .identification.fit.gradient import GradientResult as GradientResult
@@ -118,6 +124,7 @@ from .reduction.nearest_passive import nearest_passive as nearest_passive
 from .reduction.pymor_bridge import from_pymor as from_pymor
 from .reduction.pymor_bridge import to_pymor as to_pymor
 from .reduction.reduce import reduce as reduce
+from .structures.base_motion import BaseMotion as BaseMotion
 from .structures.modal_reduction import StructuralModes as StructuralModes
 from .structures.second_order import from_second_order as from_second_order
 from .structures.second_order_system import SecondOrderSystem as SecondOrderSystem

@@ -73,6 +73,8 @@ RESULTS = {
     "ResidualAnalysis": lambda: phc.residual_analysis(record(), fitted()),
     "OrderSelection": lambda: phc.order_selection(record(), 2),
     "Excitation": lambda: phc.excitation(record(), 2),
+    "PlantExcitation": lambda: phc.excitation(record(), phc.modes([1.0, 2.0], [1.0, 0.5], damping=0.02)),
+    "InputDesign": lambda: phc.design_input(fitted(), 100, 0.1, peak=1.0, for_="natural_frequencies"),
     "EnergyBalance": lambda: phc.energy_balance(phc.forced_response(chain(), record().time, 1.0), chain()),
     "GradientResult": lambda: phc.gradient_descent(record(), 1, epochs=2, rng=0),
 }

@@ -684,12 +684,17 @@ def test_bad_input_is_refused_with_what_is_wrong(data, order, options, words):
         excitation(data, order, **({"dt": 0.1} | options))
 
 
-def test_models_that_are_not_one_oscillating_port_are_refused():
+def test_a_model_of_other_ports_than_the_record_is_refused():
     many = phc.ph(np.eye(4), np.eye(4)[:, 2:])
+    with pytest.raises(phc.StructureError, match="the record has 1 input and 1 output; the model has 2 and 2"):
+        excitation((white(50), None), many, dt=0.1)
+
+
+def test_a_rigid_body_is_judged_as_a_real_pole():
     rigid = phc.ph(ct.tf([1], [1, 0]) + ct.tf([1, 0], [1, 0, 1]))
-    for model in (many, rigid):
-        with pytest.raises(phc.StructureError, match="expected one port, no rigid-body mode"):
-            excitation((white(50), None), model, dt=0.1)
+    report = excitation((white(400), None), rigid, dt=0.1, noise_std=0.1)
+    assert report.n == 1 and report.values["real_poles"] == pytest.approx([0.0])
+    assert report.sufficient and np.isfinite(report.stderr["real_poles"]).all()
 
 
 def test_a_fit_by_another_method_is_refused():
@@ -739,3 +744,171 @@ def test_a_frequency_response_is_refused_before_its_excitation_is_asked_for():
     response = ct.FrequencyResponseData([1j, 2j], [1.0, 2.0])
     with pytest.raises(phc.StructureError, match="frequency response; what an input shows"):
         excitation(response, 1)
+
+
+# --- plants with losses, several inputs and outputs -------------------------------------------------------------------
+
+
+def damped_output(theta, u, h):
+    """Outputs of a mode and a real pole, `theta` = (d, zeta, pole, residues by rows), step by step."""
+    d, zeta, rate, *rest = theta
+    (q, m), p = (2, len(u)), d * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    real, imaginary, slow = np.reshape(rest, (3, q, m))
+    y, state, lag = np.zeros((q, u.shape[1])), np.zeros(m, complex), np.zeros(m)
+    for k in range(u.shape[1]):
+        y[:, k] = 2 * ((real + 1j * imaginary) @ state).real + slow @ lag
+        state = np.exp(p * h) * state + (np.exp(p * h) - 1) / p * u[:, k]
+        lag = np.exp(rate * h) * lag + (np.exp(rate * h) - 1) / rate * u[:, k]
+    return y
+
+
+def damped_bounds(theta, u, h, covariance, moving=True):
+    """Cramer-Rao bounds of `theta` by differences of all outputs, with the dense covariance of the noise."""
+    T, columns = u.shape[1], []
+    for k in range(len(theta)):
+        step = np.zeros(len(theta))
+        step[k] = 1e-5 * max(abs(theta[k]), 0.1)
+        columns.append((damped_output(theta + step, u, h) - damped_output(theta - step, u, h)).ravel() / (2 * step[k]))
+    d, zeta, rate = theta[:3]
+    p, t = d * (-zeta + 1j * np.sqrt(1 - zeta**2)), h * np.arange(T)
+    if moving:
+        motions = [np.exp(p * t).real, np.exp(p * t).imag, np.exp(rate * t)]
+        columns += [np.kron(np.eye(2)[o], motion) for o in range(2) for motion in motions]
+    J = np.array(columns).T
+    dense = np.kron(covariance, np.eye(T)) if len(covariance) == 2 else covariance
+    information = J.T @ np.linalg.solve(dense, J)
+    return np.sqrt(np.diag(np.linalg.inv(information)))[: len(theta)]
+
+
+def dense_covariance(noise, T):
+    """Covariance of the outputs of autoregressive noise at T samples, one output after another."""
+    answers = np.zeros((2, 500))
+    answers[:, 0] = 1.0
+    for k in range(1, 500):
+        for i, row in enumerate(noise.colours.T):
+            answers[:, k] += row * (answers[:, k - 1 - i] if k > i else 0.0)
+    lags = np.subtract.outer(np.arange(T), np.arange(T))
+    return np.block([
+        [noise.covariance[a, b] * np.correlate(answer, other, "full")[np.clip(499 + lags, 0, 998)]
+         * (np.abs(lags) < 500) for b, other in enumerate(answers)] for a, answer in enumerate(answers)
+    ])  # fmt: skip
+
+
+def of_report(errors):
+    real = errors["residues"]
+    return np.concatenate([
+        errors["natural_frequencies"], errors["damping_ratios"], errors["real_poles"], real[0].real.ravel(),
+        real[0].imag.ravel(), real[1].real.ravel(),
+    ])  # fmt: skip
+
+
+def damped_model():
+    """A plant with a mode and a real pole, and its parameters."""
+    p = 2.0 * (-0.05 + 1j * np.sqrt(1 - 0.05**2))
+    shapes, participation = [[1.0, 0.5 + 0.2j], [0.4, 1.0]], [[0.4, 0.1 - 0.3j], [0.3, 0.2]]
+    model = phc.modes([p, -0.6], shapes, participation)
+    rho = np.outer(shapes[0], participation[0])
+    return model, np.concatenate([
+        [2.0, 0.05, -0.6], rho.real.ravel(), rho.imag.ravel(), np.outer(shapes[1], participation[1]).real.ravel()
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("noise_std", [0.3, [0.2, 0.5]])
+@pytest.mark.parametrize("initial_state", ["estimate", "zero"])
+def test_bounds_of_a_plant_with_losses_are_those_of_dense_sensitivities(noise_std, initial_state):
+    (model, theta), h = damped_model(), 0.2
+    u = np.random.default_rng(0).standard_normal((2, 150))
+    report = phc.excitation((u, None), model, dt=h, noise_std=noise_std, initial_state=initial_state)
+    covariance = np.diag(np.broadcast_to(noise_std, 2) ** 2)
+    expected = damped_bounds(theta, u, h, covariance, moving=initial_state == "estimate")
+    assert of_report(report.stderr) == pytest.approx(expected, rel=1e-5)
+    assert report.sufficient and len(report.names) == len(theta) == report.rank
+
+
+def test_bounds_of_a_fit_are_those_that_it_states():
+    h, rng = 0.2, np.random.default_rng(1)
+    u = rng.standard_normal((2, 800))
+    root = np.array([[0.1, 0.0], [0.08, 0.06]])
+    y = damped_output(damped_model()[1], u, h) + root @ rng.standard_normal((2, 800))
+    fit = phc.pem((u, y), 1, dt=h, real_poles=1, structure="free", delay=0)
+    report = phc.excitation((u, y), fit, dt=h)
+    for key in ("natural_frequencies", "damping_ratios", "real_poles", "residues"):
+        assert report.stderr[key].real == pytest.approx(fit.stderr[key].real, rel=0.02)
+
+
+def test_coloured_noise_enters_by_its_spectrum():
+    h, rng, T = 0.2, np.random.default_rng(2), 900
+    u = rng.standard_normal((2, T))
+    e = 0.1 * rng.standard_normal((2, T + 50))
+    for k in range(1, T + 50):
+        e[:, k] += 0.8 * e[:, k - 1]
+    theta = damped_model()[1]
+    fit = phc.pem((u, damped_output(theta, u, h) + e[:, 50:]), 1, dt=h, real_poles=1, structure="free", delay=0)
+    assert fit.noise.colours is not None
+    report = phc.excitation((u, None), fit, dt=h)
+    known = np.concatenate([
+        fit.natural_frequencies, fit.damping_ratios, fit.real_poles, fit.residues[0].real.ravel(),
+        fit.residues[0].imag.ravel(), fit.residues[1].real.ravel(),
+    ])  # fmt: skip
+    expected = damped_bounds(known, u, h, dense_covariance(fit.noise, T))
+    assert of_report(report.stderr) == pytest.approx(expected, rel=0.03)
+    gaps = np.where(rng.random((2, T)) < 0.1, np.nan, damped_output(theta, u, h))
+    with pytest.raises(phc.StructureError, match="samples are missing"):
+        phc.excitation((u, gaps), fit, dt=h)
+
+
+def test_missing_samples_and_several_records_are_counted():
+    (model, theta), h, rng = damped_model(), 0.2, np.random.default_rng(3)
+    u = rng.standard_normal((2, 300))
+    y = damped_output(theta, u, h) + 0.1 * rng.standard_normal((2, 300))
+    y[:, 150:] = np.nan
+    short = phc.excitation((u[:, :150], y[:, :150]), model, dt=h, noise_std=0.1)
+    gaps = phc.excitation((u, y), model, dt=h, noise_std=0.1)
+    both = phc.excitation([(u[:, :150], y[:, :150])] * 2, model, dt=h, noise_std=0.1)
+    assert gaps.observed == short.observed == 300
+    assert of_report(gaps.stderr) == pytest.approx(of_report(short.stderr), rel=1e-6)
+    assert of_report(both.stderr) == pytest.approx(of_report(short.stderr) / np.sqrt(2), rel=1e-6)
+    alone = phc.excitation((u[:, :150], y[:, :150]), model, dt=h)
+    assert np.sqrt(np.diag(alone.noise.covariance)) == pytest.approx([0.1, 0.1], rel=0.2)
+
+
+def test_inputs_that_are_one_do_not_show_what_each_does():
+    (model, _), h = damped_model(), 0.2
+    u = np.random.default_rng(4).standard_normal(300)
+    report = phc.excitation((np.stack([u, u]), None), model, dt=h, noise_std=0.1)
+    assert not report.sufficient and report.information.deficiency == 6
+    assert np.isfinite(report.stderr["damping_ratios"]).all()
+    assert np.isinf(report.stderr["residues"][0].real).all()
+    assert "independent of one another" in report.remedies[0]
+    assert "does NOT show" in str(report) and report.summary().startswith("What the record shows of a plant of 1 mode")
+    unknown = phc.excitation((np.stack([u, u]), None), model, dt=h)
+    assert np.isnan(unknown.stderr["damping_ratios"]).all() and np.isinf(unknown.stderr["residues"][0].real).all()
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e9])
+def test_bounds_of_a_plant_follow_units_of_time_and_of_signals(size):
+    (model, _), h = damped_model(), 0.2
+    u = np.random.default_rng(5).standard_normal((2, 200))
+    plain = phc.excitation((u, None), model, dt=h, noise_std=0.1).stderr
+    faster = phc.modes(model.poles[model.poles.imag >= 0] / size, model.shapes, np.asarray(model.participation) / size)
+    other = phc.excitation((size * u, None), faster, dt=size * h, noise_std=0.1 * size).stderr
+    assert other["damping_ratios"] == pytest.approx(plain["damping_ratios"], rel=1e-6)
+    assert other["natural_frequencies"] == pytest.approx(plain["natural_frequencies"] / size, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({"quantity": "displacement"}, "quantity is 'displacement', which is asked of lossless modes of one port"),
+        ({"noise_std": [0.1, 0.1, 0.1]}, "a number or one for each of 2 outputs"),
+        ({"noise_std": -1.0}, "it must be positive"),
+    ],
+)
+def test_options_that_do_not_fit_a_plant_with_losses_are_refused(options, message):
+    with pytest.raises(phc.StructureError, match=message):
+        phc.excitation((np.ones((2, 50)), None), damped_model()[0], dt=0.1, **options)
+
+
+def test_a_record_too_short_for_a_plant_is_refused():
+    with pytest.raises(phc.IdentificationError, match="record more than 4"):
+        phc.excitation((np.ones((2, 4)), None), damped_model()[0], dt=0.1)

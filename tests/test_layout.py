@@ -19,10 +19,10 @@ PACKAGE = Path(__file__).resolve().parents[1] / "ph_control"
 ORDER = (
     "", "numerics", "symplectic", "modal", "systems", "structures", "equivalence", "analysis", "reduction",
     "controllers", "plotting", "io", "circuits", "identification.data", "identification.regression",
-    "identification.uncertainty", "identification.excitation", "identification.parameters", "identification.search",
-    "identification.growth",
-    "identification.moves", "identification.innovations", "identification.diagnosis", "identification.structure",
-    "identification.estimates", "identification.judge",
+    "identification.uncertainty", "identification.parameters", "identification.search",
+    "identification.growth", "identification.moves",
+    "identification.innovations", "identification.diagnosis", "identification.structure",
+    "identification.excitation", "identification.estimates", "identification.judge",
     "identification.fit", "identification.many", "identification.validation", "cli", "cli.commands",
 )  # fmt: skip
 

@@ -311,10 +311,85 @@ def test_a_netlist_is_frozen_and_says_what_it_is():
         circuit.form = "cauer1"
 
 
+# --- controlled sources for any passive model -------------------------------------------------------------------------
+
+
+def gyroscopic(ports=2):
+    """Structure with general damping and gyroscopes, and a sensor beside its ports."""
+    rng = np.random.default_rng(0)
+    R, G = rng.standard_normal((3, 3)), np.zeros((3, 3))
+    G[0, 1], G[1, 0] = 0.4, -0.4
+    F = rng.standard_normal((3, ports))
+    return phc.from_second_order(
+        np.eye(3), np.diag([1.0, 4.0, 9.0]), F, C=0.1 * R @ R.T, G=G, sensors={"position": np.eye(3)[2]}
+    )
+
+
+PASSIVE = {
+    "three ports and a sensor": gyroscopic(3),
+    "a transfer function with feedthrough": ct.tf([1, 2, 3, 1.5], [1, 3, 4, 1]),
+    "an integrator": ct.tf([1.0], [1.0, 0.0]),
+    "critical damping": ct.tf([1.0, 0.0], [1.0, 2.0, 1.0]),
+    "three equal lags": ct.tf([1.0, 2.0, 1.1], [1.0, 3.0, 3.0, 1.0]),
+    "lossless": phc.frenkel_kontorova(3),
+    "a resistor": ct.ss([], [], [], [[2.0]]),
+    "nanoseconds": ct.tf([1e9, 0.0], [1.0, 1e8, 1e18]),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", PASSIVE)
+def test_controlled_sources_have_the_response_of_any_passive_model(kind, name):
+    sys = PASSIVE[name]
+    circuit = phc.netlist(sys, "state-space", kind=kind)
+    m = sys.ninputs
+    assert circuit.form == "state-space" and len(circuit.ports) == m
+    scale = 1e9 if name == "nanoseconds" else 1.0
+    for w in (0.3 * scale, 1.7 * scale):
+        response = np.reshape(sys(1j * w), (-1, m))[:m]
+        assert nodal(circuit.spice(), w) == pytest.approx(response, rel=1e-10, abs=1e-12)
+
+
+def test_sensors_are_voltages_of_nodes_of_their_own():
+    sys = gyroscopic(1)
+    text = phc.netlist(sys, "state-space").spice()
+    # a current source of 0 A is a voltmeter: its voltage for 1 V at the port
+    probe = text.replace(".options", "I2 0 y2 0\n.options")
+    assert nodal(probe, 1.3)[1, 0] == pytest.approx(sys(1.3j)[1, 0], rel=1e-10)
+
+
+@SETTINGS
+@given(st.integers(0, 2**32), st.integers(1, 4), st.integers(1, 2), st.sampled_from(KINDS))
+def test_controlled_sources_of_random_passive_models(seed, n, m, kind):
+    rng = np.random.default_rng(seed)
+    A, B, roots = rng.standard_normal((n, n)), rng.standard_normal((n, m)), rng.standard_normal((2, n, n))
+    J, R, Q = A - A.T, roots[0] @ roots[0].T, roots[1] @ roots[1].T + 0.1 * np.eye(n)
+    sys = ct.ss((J - R) @ Q, B, B.T @ Q, 0.1 * np.eye(m))
+    text = phc.netlist(sys, "state-space", kind=kind).spice()
+    expected = np.reshape(sys(0.9j), (m, m))
+    assert nodal(text, 0.9) == pytest.approx(expected, rel=1e-6, abs=1e-7 * np.abs(expected).max())
+
+
+def test_capacitors_and_conductances_are_of_a_size_that_programs_are_made_for():
+    circuit = phc.netlist(PASSIVE["nanoseconds"], "state-space")
+    conductances = [abs(part.value) for part in circuit.elements if part.name[0] == "G"]
+    capacitors = [part.value for part in circuit.elements if part.name[0] == "C"]
+    assert 0.1 < max(conductances) < 2 and capacitors == pytest.approx([1e-9, 1e-9], rel=0.1)
+
+
+def test_an_active_model_has_no_circuit():
+    with pytest.raises(phc.NotPassiveError):
+        phc.netlist(ct.tf([1.0, -0.5], [1.0, 0.2, 1.0]), "state-space")
+    with pytest.raises(phc.StructureError):
+        phc.netlist(ct.ss(-1.0, [[1.0, 0.5]], 1.0, 0.0), "state-space")
+
+
 @pytest.mark.skipif(shutil.which("ngspice") is None, reason="ngspice is not installed")
 @pytest.mark.parametrize(
     ("kind", "form", "ports"),
-    [(*one, 1) for one in EVERY] + [("admittance", "foster2", 2), ("impedance", "foster1", 2)],
+    [(*one, 1) for one in EVERY]
+    + [("admittance", "foster2", 2), ("impedance", "foster1", 2)]
+    + [(kind, "state-space", ports) for kind in KINDS for ports in (1, 2)],
 )
 def test_ngspice_finds_the_response_of_the_system(kind, form, ports, tmp_path):
     rng = np.random.default_rng(3)

@@ -16,10 +16,10 @@ class Element:
     Attributes
     ----------
     name : str
-        Its first letter says what it is: `R`, `L`, `C`, `K` (coupling of two inductors), `V`, `I` (sources), `E`, `F`
-        (controlled sources, of which ideal transformers are made).
+        Its first letter says what it is: `R`, `L`, `C`, `K` (coupling of two inductors), `V`, `I` (sources), `E`, `F`,
+        `G` (controlled sources).
     nodes : tuple of str
-        Nodes; of `K` the inductors, of `E` also the controlling nodes, of `F` also the controlling source.
+        Nodes; of `K` the inductors, of `E` and `G` also the controlling nodes, of `F` also the controlling source.
     value : float
         Ohm, henry, farad; coupling coefficient, gain; of a source 0.
     """
@@ -36,7 +36,7 @@ class Element:
 
 @dataclass(frozen=True, eq=False)
 class Netlist(Frozen):
-    """A circuit of positive elements with the transfer function of a system; made by `netlist`.
+    """A circuit with the transfer function of a system; made by `netlist`.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Netlist(Frozen):
         Sources at the ports, in the order of the inputs: voltage sources of an admittance, current sources of an
         impedance.
     form : str
-        'foster1', 'foster2', 'cauer1' or 'cauer2'.
+        'foster1', 'foster2', 'cauer1', 'cauer2' or 'state-space'.
     kind : str
         'admittance' or 'impedance': what the transfer function of the system is.
     title : str

@@ -9,28 +9,31 @@ import numpy as np
 from .. import _checks
 from .._types import Array
 from ..exceptions import StructureError
+from .controlled import controlled_sources
 from .elements import Element, Netlist
 from .expansions import continued_fraction, continued_fraction_at_zero, reciprocal
 from .resonators import Resonator, Resonators, resonators_of
 
-FORMS = ("foster1", "foster2", "cauer1", "cauer2")
+FORMS = ("foster1", "foster2", "cauer1", "cauer2", "state-space")
 KINDS = ("admittance", "impedance")
 _DIRECT = {"admittance": "foster2", "impedance": "foster1"}  # the partial fractions of the transfer function itself
 _TITLES = {"foster1": "Foster I", "foster2": "Foster II", "cauer1": "Cauer I", "cauer2": "Cauer II"}
 
 
 def netlist(sys: Any, form: str | None = None, *, kind: str = "admittance") -> Netlist:
-    """Circuit of resistors, inductors and capacitors, all positive, with the transfer function of a system.
+    """Circuit with the transfer function of a system: positive elements, or controlled sources.
 
     Parameters
     ----------
     sys : PortHamiltonian, ModalForm or any linear system of continuous time
-        Lossless, or with classical damping.
-    form : {'foster1', 'foster2', 'cauer1', 'cauer2'}, optional
+        Lossless, or with classical damping; with the form 'state-space' any passive one.
+    form : {'foster1', 'foster2', 'cauer1', 'cauer2', 'state-space'}, optional
         'foster1': tanks (inductor and capacitor side by side) in series, from the partial fractions of the impedance.
         'foster2': branches (inductor and capacitor in series) side by side, from those of the admittance.
         'cauer1': ladder of inductors along and capacitors across, from the continued fraction at infinity.
         'cauer2': ladder of capacitors along and inductors across, from that at zero.
+        'state-space': a capacitor for each state, and current sources that voltages control; for any passive system,
+        with further outputs (sensors) as voltages of nodes `y`.
         Default: the partial fractions of the system itself, 'foster2' of an admittance, 'foster1' of an impedance.
     kind : {'admittance', 'impedance'}
         Whether the input of the system is the voltage and its output the current into the port, as for `lc_circuit`, or
@@ -39,7 +42,8 @@ def netlist(sys: Any, form: str | None = None, *, kind: str = "admittance") -> N
     Returns
     -------
     Netlist
-        With as few inductors and capacitors as the system has states; modes that no port reaches are left out.
+        With as few inductors and capacitors as the system has states; modes that no port reaches are left out, but
+        in the form 'state-space'.
 
     Raises
     ------
@@ -64,6 +68,11 @@ def netlist(sys: Any, form: str | None = None, *, kind: str = "admittance") -> N
     modes, by Lanczos vectors in decimal arithmetic; these, and those made of zeros, are right to the last place for
     the `d` and `r` of `ph(sys).modes`.  O(n^2) operations, O(n^3) for the forms made of zeros.
 
+    The form 'state-space' is `x' = A x + B u`, `y = C x + D u` in modal coordinates: the states are the voltages of the
+    nodes `x1`, `x2` .., on capacitors of one size, which currents `G` charge.  Of an admittance the currents `y` are
+    drawn from the ports; of an impedance the current at a port is the voltage of the node `u`, and its voltage that of
+    the node `y`.  It needs no passive elements, and `read_netlist`, which reads these, does not read it.
+
     Examples
     --------
     >>> import ph_control as phc
@@ -76,6 +85,8 @@ def netlist(sys: Any, form: str | None = None, *, kind: str = "admittance") -> N
     """
     kind = _checks.choice("kind", kind, KINDS)
     form = _DIRECT[kind] if form is None else _checks.choice("form", form, FORMS)
+    if form == "state-space":
+        return controlled_sources(sys, kind)
     parts, one_port = resonators_of(sys)
     if not parts.modes and not parts.poles_at_zero and not parts.relaxations and not parts.feedthrough.any():
         raise StructureError("no port reaches any mode: the transfer function is 0, and has no circuit")

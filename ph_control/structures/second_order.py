@@ -18,6 +18,7 @@ from ..symplectic.forms_and_williamson import symplectic_form
 from ..systems.dissipative import checked_rows, refuse_negative, restored
 from ..systems.models import force_names, named, numbered
 from ..systems.port_hamiltonian import PortHamiltonian
+from .base_motion import absolute, base_directions, base_forces, motion_of_modes, motion_of_structure
 from .massless import Structure, inverse, refuse_massless, symmetric, with_mass
 from .modal_reduction import (
     NOTES,
@@ -33,7 +34,7 @@ from .rigid import FAINT, energy_parts, rigid_modes
 _FEW = 64  # modes that are looked at, in a large structure; more are not rigid
 
 _KEYWORDS = (
-    "C", "G", "sensors", "modes", "band", "residual_modes", "eigensolver", "condense", "rtol"
+    "C", "G", "sensors", "base", "modes", "band", "residual_modes", "eigensolver", "condense", "rtol"
 )  # fmt: skip
 _ADVICE = {
     "D": "the damping matrix is C; a feedthrough follows from M, K and sensors of acceleration",
@@ -50,11 +51,12 @@ _KINDS = ("position", "displacement", "velocity", "acceleration")
 def from_second_order(
     M: ArrayLike | sparse.sparray,
     K: ArrayLike | sparse.sparray,
-    F: ArrayLike | sparse.sparray,
+    F: ArrayLike | sparse.sparray | None = None,
     *,
     C: ArrayLike | sparse.sparray | None = None,
     G: ArrayLike | sparse.sparray | None = None,
     sensors: Mapping[str, ArrayLike] | ArrayLike | None = None,
+    base: ArrayLike | None = None,
     modes: int | None = None,
     band: tuple[float, float] | None = None,
     residual_modes: bool = True,
@@ -65,21 +67,27 @@ def from_second_order(
 ) -> PortHamiltonian:
     """Structure `M q'' + (C + G) q' + K q = F u` with the velocities at the forces, `y = F^T q'`, as its outputs.
 
+    With `base` it stands on a base that moves, whose acceleration `a` is an input beside the forces.
+
     Parameters
     ----------
     M : array_like, shape (n, n)
         Mass matrix, symmetric positive definite.  All matrices may be sparse (`scipy.sparse`) with `modes` or `band`.
     K : array_like, shape (n, n)
         Stiffness matrix, symmetric positive semidefinite; its kernel makes rigid-body modes.
-    F : array_like, shape (n,) or (n, m)
-        Where the forces act, one column for each port.
+    F : array_like, shape (n,) or (n, m), optional
+        Where the forces act, one column for each port; may be left out with `base`.
     C : array_like, shape (n, n), optional
         Damping matrix, symmetric positive semidefinite; default none.
     G : array_like, shape (n, n), optional
         Gyroscopic matrix, skew-symmetric, as of rotors; default none.
     sensors : dict of array_like, shape (k, n), or array_like, optional
         Rows of further outputs by what they measure: 'position' or 'displacement', which are the same, 'velocity',
-        'acceleration'.  An array alone holds rows of positions.
+        'acceleration'.  An array alone holds rows of positions.  On a moving `base` accelerations are absolute, as
+        accelerometers measure them, positions and velocities relative to the base.
+    base : array_like, shape (n,) or (n, r), optional
+        Motion of each degree of freedom when the base moves by 1 and nothing deforms, for each direction: 1 for the
+        horizontal displacements of all storeys.
     modes : int, optional
         Keep so many of the lowest modes; where the last belongs to repeated natural frequencies, all of these.
     band : (float, float), optional
@@ -107,7 +115,8 @@ def from_second_order(
     PortHamiltonian
         From force to velocity.  States: displacements and momenta `p = M q'`, those of the modes with `modes` or
         `band`, where the attribute `structural_modes` has the shapes and their accuracy.  With damping or sensors a
-        `DissipativePortHamiltonian`, whose `J` has `-G`.  With `G` alone the momenta are `p = M q' + G q / 2`.
+        `DissipativePortHamiltonian`, whose `J` has `-G`.  With `G` alone the momenta are `p = M q' + G q / 2`.  With
+        `base` the attribute `base_motion` has participation factors and effective masses.
 
     Raises
     ------
@@ -156,6 +165,11 @@ def from_second_order(
     store if nothing cancelled.  `K` is then cleared of them: the number of rigid modes is `rigid_modes` of the system.
     A suspension as soft as that needs `rtol=0`.
 
+    On a base that moves by `x`, displacements `q` are relative to it, and forces `-M base x''` act: the last ports,
+    from the acceleration of the base `a_g` to `p_g = -base^T M q'`.  Participation factors `phi^T M base` are those of
+    undamped modes of unit modal mass, their squares the effective masses, with the sum `base^T M base` over all modes.
+    What modes left out would carry moves with the base in the absolute accelerations.
+
     Examples
     --------
     >>> import ph_control as phc
@@ -168,6 +182,14 @@ def from_second_order(
     >>> damped = phc.from_second_order(M, K, [1, 0], C=[[0.2, 0], [0, 0.2]], sensors={"acceleration": [0, 1]})
     >>> damped.damping_ratios.round(6), damped.output_labels
     (array([0.1     , 0.033333]), ['v', 'acceleration'])
+
+    Two storeys on the ground that shakes, and the acceleration of the roof:
+
+    >>> frame = phc.from_second_order(M, [[20, -10], [-10, 10]], base=[1, 1], sensors={"acceleration": [0, 1]})
+    >>> frame.input_labels, frame.output_labels
+    (['a_g'], ['p_g', 'acceleration'])
+    >>> frame.base_motion.effective_masses[:, 0].round(4)
+    array([1.8944, 0.1056])
 
     The ten lowest of 10 000 modes of a membrane, and the residual mode of its port:
 
@@ -183,9 +205,11 @@ def from_second_order(
     """
     _checks.known_keywords("from_second_order", names, _KEYWORDS, _ADVICE)
     _checks.flags(condense=condense, residual_modes=residual_modes)
+    if F is None and base is None:
+        raise StructureError("there are neither forces F nor a base that moves; give one of them, or both")
     if modes is not None or band is not None:
         return _of_few_modes(
-            M, K, F, (C, G), sensors, condense, rtol, named_=names, modes=modes, band=band,
+            M, K, (F, base), (C, G), sensors, condense, rtol, named_=names, modes=modes, band=band,
             residual_modes=residual_modes, eigensolver=eigensolver,
         )  # fmt: skip
     if eigensolver is not None:
@@ -198,7 +222,8 @@ def from_second_order(
     mass, stiffness = _square("M", M), _square("K", K)
     if mass.shape != stiffness.shape:
         raise StructureError(f"M has shape {mass.shape} and K {stiffness.shape}; they must be the same")
-    force = _checks.port_matrix(F, len(mass), name="F")
+    directions = base_directions(base, len(mass))
+    force = _forces(F, mass, directions)
     damping, gyroscopic = _damping(C, len(mass)), _gyroscopic(G, len(mass))
     measured = measured_rows(sensors, len(mass))
     if rtol is not None:
@@ -206,12 +231,28 @@ def from_second_order(
     built = with_mass(mass, damping, gyroscopic, stiffness, force, condense)
     stiffness = _with_exact_kernel(built.M, built.K, rtol)
     states = [f"{letter}_{k + 1}" for letter in "qp" for k in built.kept]
-    return _system(built._replace(K=stiffness), inverse(built.M), measured, states, names)
+    system = _system(built._replace(K=stiffness), inverse(built.M), measured, states, names, directions)
+    if directions.size:
+        momenta, moving_mass = _carried(force, directions)
+        system.base_motion = motion_of_structure(built.M, stiffness, momenta[built.kept], moving_mass, built.motion)
+    return system
+
+
+def _forces(F: Any, M: Any, directions: Array) -> Array:
+    """Check forces (n, m), and put those of a moving base beside them."""
+    force = np.zeros((len(directions), 0)) if F is None else _checks.port_matrix(dense(F), len(directions), name="F")
+    return np.hstack([force, base_forces(M, directions)]) if directions.size else force
+
+
+def _carried(force: Array, directions: Array) -> tuple[Array, Array]:
+    """Momenta (n, r) of masses that move with the base by 1, and what these masses sum up to (r,)."""
+    momenta = -force[:, -directions.shape[1] :]
+    return momenta, np.asarray(np.einsum("ij,ij->j", directions, momenta))
 
 
 def _of_few_modes(
-    M: Any, K: Any, F: Any, of_velocity: tuple[Any, Any], sensors: Any, condense: bool, rtol: float | None, *,
-    named_: dict[str, Any], modes: Any, band: Any, **options: Any,
+    M: Any, K: Any, acting: tuple[Any, Any], of_velocity: tuple[Any, Any], sensors: Any, condense: bool,
+    rtol: float | None, *, named_: dict[str, Any], modes: Any, band: Any, **options: Any,
 ) -> PortHamiltonian:  # fmt: skip
     """System in modal coordinates: the modes wanted, then residual modes."""
     if modes is not None and band is not None:
@@ -221,7 +262,8 @@ def _of_few_modes(
     C, G = of_velocity
     stiffness, damping = sparse_matrix("K", K, n), None if C is None else sparse_matrix("C", C, n)
     gyroscopic = None if G is None else sparse_skew_matrix("G", G, n)
-    force = _checks.port_matrix(dense(F), n, name="F")
+    directions = base_directions(acting[1], n)
+    force = _forces(acting[0], mass, directions)
     given = {kind: dense(rows) for kind, rows in sensors.items()} if isinstance(sensors, Mapping) else dense(sensors)
     measured = measured_rows(given, n)
     if rtol is not None:
@@ -239,19 +281,25 @@ def _of_few_modes(
     number, unit = np.arange(len(squares)), np.eye(len(squares))
     built = Structure(unit, reduced, turning, np.diag(squares), basis.T @ force, basis, number)
     states = [f"{letter}_mode_{k + 1}" for letter in "qp" for k in number]
-    system = _system(built, unit, measured, states, named_)
+    system = _system(built, unit, measured, states, named_, directions)
     system.structural_modes = kept
+    if directions.size:
+        momenta, moving_mass = _carried(force, directions)
+        system.base_motion = motion_of_modes(
+            kept.natural_frequencies, kept.shapes.T @ momenta, moving_mass, kept.shapes
+        )
     return system
 
 
 def _system(
-    built: Structure, inverse_mass: Array, measured: dict[str, Array], states: list[str], names: dict[str, Any]
-) -> PortHamiltonian:
-    """System of a structure, of the class that its damping and sensors ask for."""
+    built: Structure, inverse_mass: Array, measured: dict[str, Array], states: list[str], names: dict[str, Any],
+    directions: Array,
+) -> PortHamiltonian:  # fmt: skip
+    """System of a structure, of the class that its damping and sensors ask for; the last ports are of the base."""
     n, ports = built.F.shape
     Q, B = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, ports))
     Q[:n, :n], Q[n:, n:], B[n:] = built.K, inverse_mass, built.F
-    inputs, outputs = force_names(ports)
+    inputs, outputs = _port_names(ports - directions.shape[1], directions.shape[1])
     if built.C is None and not measured:
         if built.G is not None:  # in the momenta M q' + G q / 2
             half = 0.5 * built.G
@@ -266,6 +314,8 @@ def _system(
     if built.G is not None:
         J[n:, n:] = -built.G
     rows, through = _sensor_matrices(measured, built.motion, Q, J - R, B)
+    if directions.size:
+        through = _of_moving_base(measured, through, directions)
     for kind, wanted in measured.items():
         outputs = outputs + ([kind] if len(wanted) == 1 else numbered(kind, len(wanted)))
     parts = {
@@ -273,6 +323,25 @@ def _system(
         "sensor_rows": rows, "sensor_feedthrough": through,
     }  # fmt: skip
     return restored(parts, named(names, inputs, outputs, states), None)
+
+
+def _port_names(forces: int, directions: int) -> tuple[list[str], list[str]]:
+    """Names of forces and velocities, then of accelerations of the base and what these supply power through."""
+    inputs, outputs = force_names(forces) if forces else ([], [])
+    if directions == 1:
+        return [*inputs, "a_g"], [*outputs, "p_g"]
+    return inputs + numbered("a_g", directions), outputs + numbered("p_g", directions)
+
+
+def _of_moving_base(measured: Mapping[str, Array], through: Array, directions: Array) -> Array:
+    """Feedthrough with accelerations that are absolute."""
+    through, first = through.copy(), 0
+    for kind, rows in measured.items():
+        part = slice(first, first + len(rows))
+        if kind == "acceleration":
+            through[part, -directions.shape[1] :] = absolute(through[part, -directions.shape[1] :], rows, directions)
+        first += len(rows)
+    return through
 
 
 def _gyroscopic(G: ArrayLike | None, n: int) -> Array | None:

@@ -96,6 +96,7 @@ class PortHamiltonian(LosslessSystem):
     _factory = "ph(Q, B)"
     time_unit: str | None = None  # that of the data it was fitted to
     structural_modes: Any = None  # `StructuralModes`, where `from_second_order` has kept some modes of a structure
+    base_motion: Any = None  # `BaseMotion`, of a structure on a base that moves
     error_bound: float | None = None  # of `reduce`: the largest difference from the system that was reduced
     cost: float | None = None  # of `nearest_passive`: squared distance from the system that was not passive
     _modes: ModalForm | None
@@ -508,7 +509,8 @@ class PortHamiltonian(LosslessSystem):
 
     def _told(self) -> dict[str, Any]:
         """Attributes that are set after a system was made, for pickles."""
-        return {name: getattr(self, name) for name in ("time_unit", "structural_modes", "error_bound", "cost")}
+        names = "time_unit", "structural_modes", "base_motion", "error_bound", "cost"
+        return {name: getattr(self, name) for name in names}
 
     def __reduce__(self) -> tuple[Any, ...]:
         known = self._given, self._modes, self._names(), self._kept(_OF_Q_AND_B)

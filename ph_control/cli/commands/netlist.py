@@ -1,8 +1,9 @@
-"""Write a circuit of inductors, capacitors and resistors with the transfer function of a model, as SPICE text.
+"""Write a circuit with the transfer function of a model, as SPICE text.
 
-The model is lossless or has classical damping; its transfer function is the admittance (voltage in, current out) unless
---kind impedance. All commands also accept netlists (.cir, .net, .sp) as models. Exit status 1 if the model
-has no port-Hamiltonian form.
+Inductors, capacitors and resistors for a model that is lossless or has classical damping; controlled sources for any
+passive one with --form state-space. The transfer function is the admittance (voltage in, current out) unless --kind
+impedance. All commands also accept netlists (.cir, .net, .sp) as models. Exit status 1 if the model has no
+port-Hamiltonian form.
 
 Examples
 --------
@@ -28,8 +29,9 @@ def add_options(parser: Parser) -> None:
     """Declare the options."""
     add_files(parser, "netlist")
     parser.add_argument(
-        "--form", choices=("foster1", "foster2", "cauer1", "cauer2"),
-        help="form of a lossless one-port (default: one resonator for each mode)",
+        "--form", choices=("foster1", "foster2", "cauer1", "cauer2", "state-space"),
+        help="form of a lossless one-port, or controlled sources for any passive model (default: one resonator for "
+        "each mode)",
     )  # fmt: skip
     parser.add_argument(
         "--kind",

@@ -88,7 +88,10 @@ def as_experiments(
     return _each_experiment(data, dt, weights, lambda *arguments: map(single, take(*arguments)))
 
 
-def as_channels(data: Any, dt: Any = None, *, weights: Any = None, window: Any = None, hold: str = "auto") -> Channels:
+def as_channels(
+    data: Any, dt: Any = None, *, weights: Any = None, window: Any = None, hold: str = "auto",
+    output_needed: bool = True,
+) -> Channels:  # fmt: skip
     """Make checked experiments of several inputs and outputs, all in time or all in frequency.
 
     Parameters
@@ -104,6 +107,8 @@ def as_channels(data: Any, dt: Any = None, *, weights: Any = None, window: Any =
         Window of the blocks that frequency responses were estimated from; by default what these state themselves.
     hold : {'auto', 'zoh', 'foh', 'bandlimited'}
         What the input of such responses did between samples.
+    output_needed : bool, optional
+        Whether a pair must have an output; without one its values are missing.
 
     Returns
     -------
@@ -130,10 +135,11 @@ def as_channels(data: Any, dt: Any = None, *, weights: Any = None, window: Any =
     >>> recording
     <Recording: 5 samples, step 0.1, 3 outputs from 2 inputs>
     """
-    take = partial(_experiment, window=window, hold=hold)
-    return matched(
-        _each_experiment(data, dt, weights, lambda *arguments: map(several, take(*arguments))), _are_named(data)
-    )
+    take = partial(_experiment, output_needed=output_needed, window=window, hold=hold)
+    experiments = _each_experiment(data, dt, weights, lambda *arguments: map(several, take(*arguments)))
+    if not output_needed and not any(experiment.observed.any() for experiment in experiments):
+        return experiments
+    return matched(experiments, _are_named(data))
 
 
 def as_measured(data: Any, dt: Any = None, *, weights: Any = None) -> tuple[Any, ...]:

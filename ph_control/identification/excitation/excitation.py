@@ -1,4 +1,4 @@
-"""What a record can and cannot show of a lossless model, before any fit."""
+"""What a record can and cannot show of a model, before any fit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ... import _checks
-from ..._types import Array, ComplexArray
+from ..._types import Array, ArrayLike, ComplexArray
 from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS, Hold
@@ -19,6 +19,7 @@ from ..data.time_record import Record
 from ..regression.modal_regressors import QUANTITIES
 from ..uncertainty.fisher import Combination, Information, PortRecord, joint_information, model_information
 from .excited_band import ExcitedBand, excited_band
+from .plant_excitation import PlantExcitation, plant_excitation
 from .remedy import input_remedy
 from .report import Excitation
 from .scan import Scan, representative, scan
@@ -41,18 +42,18 @@ def excitation(
     intersample: str = "zoh",
     initial_state: str = "estimate",
     quantity: str = "velocity",
-    noise_std: float | None = None,
-) -> Excitation:
-    """Tell what a record can and cannot show of a lossless model, and what input would show it.
+    noise_std: ArrayLike | None = None,
+) -> Excitation | PlantExcitation:
+    """Tell what a record can and cannot show of a model, and what input would show it.
 
-    Evaluates the Fisher information of `theta = (d, r, x(0))`: at a model if one is given, else at modes spread over
-    the band of the input.  Nothing is fitted.
+    Evaluates the Fisher information: of `theta = (d, r, x(0))` at a lossless model of one port, or at such modes spread
+    over the band of the input; of frequencies, damping, residues and feedthrough at any other.  Nothing is fitted.
 
     Parameters
     ----------
     data : control.TimeResponseData, data frame, pair (u, y), or list of these
         The records, as for `pem`; `(u, None)` where there is an input only.  Not modified.
-    order : int, pair (d, r), ModalForm, PortHamiltonian or PEMResult
+    order : int, pair (d, r), ModalForm, PEMResult, or any linear system of continuous time
         Model at which to judge; or a number of modes n, whose frequencies may lie anywhere.
     dt : float, optional
         Time between samples; required with arrays.
@@ -63,15 +64,16 @@ def excitation(
     initial_state : {'estimate', 'zero'}
         Whether the record may start in motion, so that the initial state is an unknown like the others.
     quantity : {'velocity', 'displacement', 'acceleration'}
-        What is measured of the port.
-    noise_std : float, optional
-        Standard deviation of the output noise, for standard errors.  Default: that of a fitted result, or of what a
-        given model leaves of the outputs.
+        What is measured of the port of a lossless model.
+    noise_std : float or array_like, shape (p,), optional
+        Standard deviation of the noise of each output, for standard errors.  Default: the noise of a fitted result,
+        with its colours and forces, or of what a given model leaves of the outputs.
 
     Returns
     -------
-    Excitation
-        Rank, blind combinations, bounds, excited band, and remedies; printed, it says them in words.
+    Excitation or PlantExcitation
+        Rank, blind combinations, bounds, excited band, and remedies; printed, it says them in words.  A lossless model
+        of one port gives the first; one with losses, or with several inputs or outputs, the second.
 
     Raises
     ------
@@ -104,11 +106,27 @@ def excitation(
     'add a frequency near 1.6 rad/time to the input, or us'
     >>> phc.excitation((np.sin(t) + np.sin(1.6 * t), None), chain, dt=0.01).sufficient
     True
+
+    With losses and two inputs:
+
+    >>> motor = phc.modes([-0.05 + 1.0j, -0.2 + 3.0j], [[1.0], [0.5]], [[1.0, 0.3j], [0.2, 1.0]])
+    >>> u = np.random.default_rng(0).standard_normal((2, 1000))
+    >>> report = phc.excitation((u, None), motor, dt=0.1, noise_std=0.1)
+    >>> report.sufficient, report.stderr["damping_ratios"].round(4)
+    (True, array([0.0004, 0.0011]))
     """
     _checks.choice("method", method, METHODS)
     _checks.choice("intersample", intersample, INTERSAMPLE)
     _checks.choice("initial_state", initial_state, ("estimate", "zero"))
     _checks.choice("quantity", quantity, QUANTITIES)
+    if not _checks.is_whole(order) and not _is_lossless_port(order):
+        if quantity != "velocity":
+            raise StructureError(
+                f"quantity is {quantity!r}, which is asked of lossless modes of one port; of any other plant the "
+                "outputs are those of the model: leave it out"
+            )
+        _refuse_other_hold(order, method, intersample)
+        return plant_excitation(data, order, dt, (method, intersample), initial_state == "zero", noise_std)
     noise = np.nan if noise_std is None else float(_checks.real_array("noise_std", noise_std, 0))
     if noise <= 0:
         raise StructureError(f"noise_std is {noise:g}; it must be positive")
@@ -220,11 +238,24 @@ def _problem(record: Record, hold: Hold, from_rest: bool, quantity: str) -> Port
     return PortRecord(record.u, y, observed, hold, from_rest and record.driven, quantity, record.driven)
 
 
-def _model(order: Any, method: str, intersample: str) -> ModalForm:
-    """One-port oscillating modal form of whatever describes a model."""
+def _is_lossless_port(order: Any) -> bool:
+    """Whether a model is that of lossless modes of one port, which have parameters `d` and `r` of their own."""
+    if isinstance(order, tuple | list):
+        return True
+    own = getattr(order, "modes", None)
+    form = own if isinstance(own, ModalForm) else modes(order)
+    return bool(form.is_lossless and form.nports == 1 and not len(form.rigid) and len(form.d))
+
+
+def _refuse_other_hold(order: Any, method: str, intersample: str) -> None:
     for name, value in (("method", method), ("intersample", intersample)):
         if (fitted := getattr(order, name, value)) != value:
             raise StructureError(f"the model was fitted with {name}={fitted!r}; pass that, or its modes alone")
+
+
+def _model(order: Any, method: str, intersample: str) -> ModalForm:
+    """One-port oscillating modal form of whatever describes a model."""
+    _refuse_other_hold(order, method, intersample)
     if isinstance(order, tuple | list):
         if len(order) != 2:
             raise StructureError(f"order has {len(order)} entries; give a number of modes, a pair (d, r), or a model")
