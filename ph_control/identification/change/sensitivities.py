@@ -1,0 +1,341 @@
+"""What a new record is held against: its errors at the old parameters, and their derivatives by all that may differ.
+
+The errors of a fit with inputs are those of the simulation, those of outputs alone are what the innovations form
+
+    y = e + C (z - A)^-1 K e
+
+leaves.  Both are whitened by the predictor of the noise, and so are the derivatives, with that predictor held: what a
+change of the predictor itself does to the errors of driven records has the mean 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..._types import Array, ComplexArray, Indices, Mask
+from ...exceptions import StructureError
+from ...modal.discretization import Hold
+from ..data.channels import Recording
+from ..regression.free_prediction import predicted_outputs, unknown_samples
+
+_STEP = 1e-5  # of a pole over its size, and of a delay over the sampling step, in central differences
+_MOST = 300_000_000  # numbers in the derivatives
+_ROUNDING = 1e-9  # of the size of an output, below which its errors are no noise
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """Errors of a record at the old parameters, and derivatives of its outputs, both whitened; 0 where missing.
+
+    Attributes
+    ----------
+    errors : ndarray, shape (p, T)
+        What the old parameters leave of the outputs.
+    observed : ndarray of bool, shape (p, T)
+        Which of these count.
+    shared : ndarray, shape (s, p, T)
+        Derivatives by unknowns that all outputs have in common.
+    own : ndarray, shape (w, p, T)
+        Derivatives by unknowns of which each output has its own: they are w p unknowns, output by output.
+    shared_places, own_places : ndarray of int, shapes (s,) and (w, p)
+        Parameter of the result that each unknown is, as in its `covariance`; -1 of what any record has for itself.
+    floor : ndarray, shape (p,)
+        Standard deviation of rounding.
+    """
+
+    errors: Array
+    observed: Mask
+    shared: Array
+    own: Array
+    shared_places: Indices
+    own_places: Indices
+    floor: Array
+
+    @property
+    def places(self) -> Indices:
+        """Parameter of each unknown (s + p w,): the shared ones, then those of each output."""
+        return np.concatenate([self.shared_places, self.own_places.T.ravel()])
+
+    def products(self, weight: Array) -> tuple[Array, Array]:
+        """Information (q, q) of the unknowns and score (q,) of the errors, with a weight (p, p) of the outputs."""
+        s, (w, p) = len(self.shared), self.own_places.shape
+        size = s + w * p
+        normal, score = np.zeros((size, size)), np.zeros(size)
+        weighted = np.einsum("ij,sjt->sit", weight, self.shared)
+        flat = self.shared.reshape(s, -1)
+        normal[:s, :s] = weighted.reshape(s, -1) @ flat.T
+        errors = weight @ self.errors
+        score[:s] = flat @ errors.ravel()
+        for i in range(p):
+            rows = slice(s + i * w, s + (i + 1) * w)
+            normal[rows, :s] = self.own[:, i] @ weighted[:, i].T
+            normal[:s, rows] = normal[rows, :s].T
+            score[rows] = self.own[:, i] @ errors[i]
+            for j in np.flatnonzero(weight[i]).tolist():
+                columns = slice(s + j * w, s + (j + 1) * w)
+                normal[rows, columns] = weight[i, j] * (self.own[:, i] @ self.own[:, j].T)
+        return normal, score
+
+    def rest(self, unknowns: Array) -> Array:
+        """Errors (p, T) that some values (s + p w,) of the unknowns leave."""
+        s, (w, p) = len(self.shared), self.own_places.shape
+        each = unknowns[s:].reshape(p, w)
+        return np.asarray(
+            self.errors - np.einsum("s,spt->pt", unknowns[:s], self.shared) - np.einsum("pw,wpt->pt", each, self.own)
+        )
+
+
+def sensitivities_of(result: Any, record: Recording) -> Sensitivities:
+    """Errors and derivatives of a result at a new record, whose channels are those of the result."""
+    if result._grows:
+        raise StructureError(
+            "the fit has a pole that grows, so that the simulation of a record leaves its outputs behind, and there is "
+            "no score test of it: fit the new record, and use compare"
+        )
+    derivatives = _Derivatives(result, record)
+    return derivatives.of_outputs_alone() if result.is_ambient else derivatives.beside_inputs()
+
+
+@dataclass(frozen=True, eq=False)
+class _Derivatives:
+    """Derivatives of the outputs of a result on a record."""
+
+    result: Any
+    record: Recording
+
+    @cached_property
+    def hold(self) -> Hold:
+        return Hold(self.record.dt, self.result.method, self.result.intersample)
+
+    @cached_property
+    def first(self) -> Indices:
+        """First sample (p,) of each output that depends on nothing before the record."""
+        return unknown_samples(self.result._latest, self.record.dt)
+
+    @cached_property
+    def observed(self) -> Mask:
+        seen = self.record.observed & (np.arange(self.record.samples) >= self.first[:, None])
+        covariance = None if self.result.noise is None else self.result.noise.covariance
+        if covariance is not None and np.any(covariance != np.diag(np.diag(covariance))):
+            seen = np.broadcast_to(seen.all(axis=0), seen.shape)  # the weight of all outputs is that of whole samples
+        return np.asarray(seen)
+
+    @cached_property
+    def powers(self) -> ComplexArray:
+        """Free motion (n, T) of each pole, of size 1 at the first sample."""
+        return self.hold.step(self.result.poles).powers(np.arange(float(self.record.samples)))
+
+    def forced(self, poles: ComplexArray, residues: ComplexArray, through: Array, delay: Array | None = None) -> Array:
+        """Outputs (p, T) of other modes from rest."""
+        late = self.result.delay if delay is None else delay
+        return predicted_outputs(poles, residues, through, self.record.u, self.hold, late, self.result.input_delay)
+
+    # --- with inputs -------------------------------------------------------------------------------------------------
+
+    def beside_inputs(self) -> Sensitivities:
+        """Errors of the simulation; free motion, constant and delay are those of the new record."""
+        result = self.result
+        self._refuse_large()
+        own: list[tuple[Indices | None, Array]] = [*self._of_residues(), *self._of_record()]
+        motion = np.array([column for places, column in own if places is None])
+        forced = self.forced(result.poles, result.residues, result.feedthrough) if len(self.record.u) else 0.0
+        errors = np.where(self.observed, self.record.y - forced, np.nan)
+        amplitudes, errors = self._moving(motion, errors)
+        shared = self._of_poles(amplitudes)
+        columns = np.array([column for _, column in own]).reshape(-1, *errors.shape)
+        every = [np.full(errors.shape[0], -1) if places is None else places for places, _ in own]
+        return self._whitened(errors, shared, columns, np.array(every, int).reshape(len(own), -1))
+
+    def _refuse_large(self) -> None:
+        poles, p, m = self.result.residues.shape
+        each = 2 * poles * (m + 1) + m + 3
+        noise = self.result.noise
+        unknowns = 2 * poles + each * (p if noise is not None and noise.forces is not None else 1)
+        if unknowns * p * self.record.samples > _MOST:
+            raise StructureError(
+                f"the test of {self.record.samples} samples of {p} outputs takes {unknowns * p * self.record.samples} "
+                f"numbers, more than {_MOST}: pass a part of the record"
+            )
+
+    def _of_residues(self) -> Iterator[tuple[Indices, Array]]:
+        """Derivatives (p, T) of each output by its own residues and feedthrough, with their places."""
+        result = self.result
+        count, p, m = result.residues.shape
+        outputs = np.arange(p)
+        nothing, still = np.zeros((count, p, m), complex), np.zeros((p, m))
+        estimated = ~np.isnan(np.diag(result.covariance))
+        for j in range(m):
+            for l in range(count):
+                parts = (0,) if result.poles[l].imag == 0 else (0, 1)
+                for part in parts:
+                    unit = nothing[:1].copy()
+                    unit[0, :, j] = (1.0, 1j)[part]
+                    places = 2 * count + part * count * p * m + (l * p + outputs) * m + j
+                    yield places, self.forced(result.poles[l : l + 1], unit, still)
+            places = 2 * count * (1 + p * m) + outputs * m + j
+            if estimated[places].any() or result.feedthrough[:, j].any():
+                through = still.copy()
+                through[:, j] = 1.0
+                yield places, self.forced(result.poles[:0], nothing[:0], through)
+
+    def _of_record(self) -> list[tuple[None, Array]]:
+        """Derivatives (p, T) by what each output of a record has for itself."""
+        result, shape = self.result, (len(self.record.y), self.record.samples)
+        real = result.poles.imag == 0
+        columns = [*self.powers.real, *self.powers.imag[~real], np.ones(shape[1])]
+        if any(np.any(getattr(data, name, 0.0)) for data in result.experiments for name in ("drift", "drifts")):
+            columns.append(np.arange(shape[1]) / shape[1])
+        each: list[tuple[None, Array]] = [(None, np.broadcast_to(column, shape)) for column in columns]
+        estimated = result.delay_stderr > 0
+        if estimated.any():
+            each.append((None, np.where(estimated[:, None], self._of_delay(), 0.0)))
+        return each
+
+    def _of_delay(self) -> Array:
+        h = _STEP * self.record.dt
+        ends = [
+            self.forced(self.result.poles, self.result.residues, self.result.feedthrough, self.result.delay + sign * h)
+            for sign in (1, -1)
+        ]
+        return (ends[0] - ends[1]) / (2 * h)
+
+    def _moving(self, columns: Array, errors: Array) -> tuple[ComplexArray, Array]:
+        """Amplitudes (n, p) of the free motion, and errors without it and the constant."""
+        real = self.result.poles.imag == 0
+        n, complex_count = len(real), int(np.sum(~real))
+        amplitudes, rest = np.zeros((n, len(errors)), complex), errors.copy()
+        for o, seen in enumerate(self.observed):
+            rows = columns[:, o].T
+            sizes = np.linalg.norm(rows[seen], axis=0)
+            rows = rows / np.where(sizes > 0, sizes, 1.0)
+            x = np.linalg.lstsq(rows[seen], errors[o, seen], rcond=None)[0]
+            rest[o] = errors[o] - rows @ x
+            x = x / np.where(sizes > 0, sizes, 1.0)
+            amplitudes[:, o] = x[:n]
+            amplitudes[~real, o] -= 1j * x[n : n + complex_count]
+        return amplitudes, rest
+
+    def _of_poles(self, amplitudes: ComplexArray) -> Array:
+        """Derivatives (2n, p, T) by sizes and damping ratios of the poles."""
+        count, size = len(self.result.poles), (len(self.record.y), self.record.samples)
+        by_size, by_damping = np.zeros((2, count, *size))
+        for l, p in enumerate(self.result.poles):
+            d = np.abs(p)
+            directions = [p / d if d else -1.0 + 0j]
+            if p.imag:
+                zeta = -p.real / d
+                directions.append(d * (-1 - 1j * zeta / np.sqrt(1 - zeta**2)))
+            for out, turn in zip((by_size, by_damping), directions, strict=False):
+                out[l] = self._along(l, turn) + self._moved(l, turn, amplitudes[l])
+        return np.concatenate([by_size, by_damping])
+
+    def _along(self, l: int, turn: complex) -> Array:
+        """Derivative (p, T) of the forced outputs as a pole moves along a direction."""
+        if not len(self.record.u):
+            return np.zeros(self.record.y.shape)
+        p, residues = self.result.poles[l : l + 1], self.result.residues[l : l + 1]
+        length = abs(turn)
+        h = _STEP * max(abs(p[0]), 1 / (self.record.samples * self.record.dt)) / length
+        still = np.zeros(residues.shape[1:])
+        ends = [self.forced(p + sign * h * turn, residues, still) for sign in (1, -1)]
+        return (ends[0] - ends[1]) / (2 * h)
+
+    def _moved(self, l: int, turn: complex, amplitude: ComplexArray) -> Array:
+        """Derivative (p, T) of the free motion as a pole moves along a direction."""
+        t = self.record.dt * np.arange(self.record.samples)
+        if self.hold.method != "exact":
+            h = _STEP * abs(self.result.poles[l]) / abs(turn)
+            ends = [self.hold.step(self.result.poles[l : l + 1] + sign * h * turn) for sign in (1, -1)]
+            k = np.arange(float(self.record.samples))
+            slope = (ends[0].powers(k)[0] - ends[1].powers(k)[0]) / (2 * h)
+            return np.asarray((amplitude[:, None] * slope).real)
+        return np.asarray((amplitude[:, None] * (turn * t * self.powers[l])).real)
+
+    # --- outputs alone -----------------------------------------------------------------------------------------------
+
+    def of_outputs_alone(self) -> Sensitivities:
+        """Errors of the predictor; shapes, gains, constants and the state at the first sample are the record's own."""
+        filter = self.result._beside_simulation
+        levels = np.nanmean(np.where(self.observed, self.record.y, np.nan), axis=1, keepdims=True)
+        y = np.where(self.observed, self.record.y - levels, np.nan)
+        errors = np.nan_to_num(self._innovations(y))
+        multipliers, vectors = np.linalg.eig(filter.A)
+        gains, shapes = np.linalg.solve(vectors, filter.K.astype(complex)), filter.C @ vectors
+        places, half = self._of_multipliers(multipliers)
+        columns: list[Array] = []
+        own: list[Array] = []
+        derivatives = np.zeros((2 * len(self.result.poles), *y.shape))
+        for k, l in zip(half, places, strict=True):
+            multiplier, c = multipliers[k], shapes[:, k]
+            twice = 1.0 if multiplier.imag == 0 else 2.0
+            parts = (1.0,) if multiplier.imag == 0 else (1.0, 1j)
+            state = _recursion(multiplier, gains[k] @ errors)
+            again = _recursion(multiplier, state)
+            for row, slope in self._slopes(l, multiplier):
+                derivatives[row] = twice * np.real(np.outer(c * slope, again))
+            for part in parts:
+                own.append(np.broadcast_to((part * state).real, y.shape))
+                columns += [(part * np.outer(c, _recursion(multiplier, error + 0j))).real for error in errors]
+                columns.append((part * np.outer(c, self.powers[l])).real)
+        own.append(np.ones(y.shape))
+        shared = np.concatenate([derivatives, np.array(columns)])
+        sensitivities = self._whitened(y, shared, np.array(own), np.full((len(own), len(y)), -1))
+        tested = np.arange(len(shared))
+        return replace(sensitivities, shared_places=np.where(tested < len(derivatives), tested, -1))
+
+    def _of_multipliers(self, multipliers: ComplexArray) -> tuple[list[int], list[int]]:
+        """Pole of the result that belongs to each eigenvalue of a step, and the eigenvalues that are one of a pair."""
+        steps = np.exp(self.result.poles * self.record.dt)
+        half = [k for k, value in enumerate(multipliers) if value.imag >= 0]
+        return [int(np.argmin(np.abs(steps - multipliers[k]))) for k in half], half
+
+    def _slopes(self, l: int, multiplier: complex) -> Iterator[tuple[int, complex]]:
+        """Row of the derivatives, and derivative of the multiplier, by size and damping ratio of a pole."""
+        p, count = self.result.poles[l], len(self.result.poles)
+        d = np.abs(p)
+        yield l, self.record.dt * multiplier * (p / d if d else -1.0)
+        if p.imag:
+            zeta = -p.real / d
+            yield count + l, self.record.dt * multiplier * d * (-1 - 1j * zeta / np.sqrt(1 - zeta**2))
+
+    # --- whitening ---------------------------------------------------------------------------------------------------
+
+    def _innovations(self, values: Array) -> Array:
+        """What the noise model does not foretell of outputs (p, T) without their simulation; NaN where missing."""
+        return np.asarray(self.result._innovations(values, self.record.dt))
+
+    def _whitened(self, errors: Array, shared: Array, own: Array, own_places: Indices) -> Sensitivities:
+        noise, seen = self.result.noise, self.observed
+        floor = _ROUNDING * np.sqrt(np.nanmean(np.where(seen, self.record.y, np.nan) ** 2, axis=1))
+        shared_places = np.arange(len(shared))
+        if noise is not None and noise.forces is not None:
+            # the filter of forces mixes outputs
+            w, p = own_places.shape
+            spread = np.zeros((p, w, p, own.shape[2]))
+            outputs = np.arange(p)
+            spread[outputs, :, outputs] = np.moveaxis(own, 1, 0)
+            shared = np.concatenate([shared, spread.reshape(w * p, p, -1)])
+            shared_places = np.concatenate([shared_places, own_places.T.ravel()])
+            own, own_places = own[:0], own_places[:0]
+
+        def whitened(values: Array) -> Array:
+            return np.nan_to_num(self._innovations(np.where(seen, values, np.nan)))
+
+        if noise is not None and not noise.is_white:
+            errors, *columns = [whitened(values) for values in (errors, *shared, *own)]
+            shared, own = np.array(columns[: len(shared)]), np.array(columns[len(shared) :]).reshape(own.shape)
+        else:
+            errors, shared, own = (np.where(seen, values, 0.0) for values in (errors, shared, own))
+        return Sensitivities(errors, seen, shared, own, shared_places, own_places, floor)
+
+
+def _recursion(multiplier: complex, drive: ComplexArray) -> ComplexArray:
+    """`x[k+1] = multiplier x[k] + drive[k]` from 0."""
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter([0.0, 1.0], [1.0, -multiplier], drive))
