@@ -20,7 +20,8 @@ from ..data.experiments import one_recording
 from ..regression.tuning import TUNING
 from ..uncertainty.residual_tests import ljung_box
 from .multiple_tests import holm, two_sided
-from .sensitivities import Sensitivities, sensitivities_of
+from .sensitivities import Sensitivities, noise_of
+from .unmeasured_forces import sensitivities_of
 
 TESTED = ("all", "poles")
 
@@ -177,7 +178,7 @@ def score_test(result: Any, data: Any, parameters: str, level: float, dt: float 
     directions, tested = _directions(result, parameters)
     sensitivities = sensitivities_of(result, record)
     _refuse_short(sensitivities)
-    covariance, rest = _noise(result, sensitivities)
+    covariance, rest = noise_of(result, sensitivities)[:2]
     normal, gradient = sensitivities.products(np.linalg.inv(covariance))
     normal, gradient = _without_others(normal, gradient, sensitivities.places, tested)
     score, information = directions.T @ gradient, directions.T @ normal @ directions
@@ -228,33 +229,6 @@ def _refuse_short(sensitivities: Sensitivities) -> None:
             f"the record has {seen} observed samples of outputs, and a test of this fit has {unknowns} unknowns in it: "
             f"at least {unknowns + _SPARE} samples are needed"
         )
-
-
-def _noise(result: Any, sensitivities: Sensitivities) -> tuple[Array, Array]:
-    """Covariance (p, p) of the noise in the new record, and what all unknowns together leave of it, (p, T)."""
-    p, noise = len(sensitivities.errors), result.noise
-    samples = np.maximum(sensitivities.observed.sum(axis=1), 1)
-    spread = np.sum(sensitivities.errors**2, axis=1) / samples + sensitivities.floor**2
-    spread = np.where(spread > 0, spread, max(float(spread.max()), 1.0))
-    normal, gradient = sensitivities.products(np.diag(1 / spread))
-    rest = sensitivities.rest(_least_squares(normal, gradient))
-    share = len(sensitivities.places) / p
-    spare = np.maximum(samples - share, 1.0)
-    covariance = rest @ rest.T / np.sqrt(np.outer(spare, spare))
-    if noise is None or not np.any(noise.covariance != np.diag(np.diag(noise.covariance))):
-        covariance = np.diag(np.diag(covariance))
-    least = sensitivities.floor**2
-    least = np.where(least > 0, least, max(float(least.max()), np.finfo(float).tiny))
-    covariance = covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0))
-    return covariance, rest
-
-
-def _least_squares(normal: Array, gradient: Array) -> Array:
-    """The least solution of normal equations that may be singular."""
-    sizes = np.sqrt(np.maximum(np.diag(normal), 0.0))
-    sizes = np.where(sizes > 0, sizes, 1.0)
-    inverse = np.linalg.pinv(normal / np.outer(sizes, sizes), rcond=len(sizes) * EPS * 100, hermitian=True)
-    return np.asarray(inverse @ (gradient / sizes) / sizes)
 
 
 def _without_others(normal: Array, gradient: Array, places: Indices, tested: Indices) -> tuple[Array, Array]:

@@ -1,22 +1,19 @@
 """What a new record is held against: its errors at the old parameters, and their derivatives by all that may differ.
 
-The errors of a fit with inputs are those of the simulation, those of outputs alone are what the innovations form
-
-    y = e + C (z - A)^-1 K e
-
-leaves.  Both are whitened by the predictor of the noise, and so are the derivatives, with that predictor held: what a
-change of the predictor itself does to the errors of driven records has the mean 0.
+Errors are those of the simulation, whitened by the predictor of the noise, and so are the derivatives, with that
+predictor held: what a change of the predictor itself does to the errors of records with inputs has the mean 0.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, Mask
 from ...exceptions import StructureError
 from ...modal.discretization import Hold
@@ -90,19 +87,50 @@ class Sensitivities:
         )
 
 
-def sensitivities_of(result: Any, record: Recording) -> Sensitivities:
-    """Errors and derivatives of a result at a new record, whose channels are those of the result."""
+def refuse_growth(result: Any) -> None:
+    """Refuse a result whose simulation leaves the outputs behind."""
     if result._grows:
         raise StructureError(
             "the fit has a pole that grows, so that the simulation of a record leaves its outputs behind, and there is "
             "no score test of it: fit the new record, and use compare"
         )
-    derivatives = _Derivatives(result, record)
-    return derivatives.of_outputs_alone() if result.is_ambient else derivatives.beside_inputs()
+
+
+def least_squares(normal: Array, gradient: Array) -> Array:
+    """The least solution of normal equations that may be singular."""
+    sizes = np.sqrt(np.maximum(np.diag(normal), 0.0))
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    inverse = np.linalg.pinv(normal / np.outer(sizes, sizes), rcond=len(sizes) * EPS * 100, hermitian=True)
+    return np.asarray(inverse @ (gradient / sizes) / sizes)
+
+
+def mixes_outputs(noise: Any) -> bool:
+    """Whether the noise of outputs is correlated."""
+    return noise is not None and bool(np.any(noise.covariance != np.diag(np.diag(noise.covariance))))
+
+
+def noise_of(result: Any, sensitivities: Sensitivities) -> tuple[Array, Array, Array]:
+    """Covariance (p, p) of the noise in the new record, what all unknowns leave of it (p, T), and the unknowns."""
+    p, noise = len(sensitivities.errors), result.noise
+    samples = np.maximum(sensitivities.observed.sum(axis=1), 1)
+    spread = np.sum(sensitivities.errors**2, axis=1) / samples + sensitivities.floor**2
+    spread = np.where(spread > 0, spread, max(float(spread.max()), 1.0))
+    normal, gradient = sensitivities.products(np.diag(1 / spread))
+    unknowns = least_squares(normal, gradient)
+    rest = sensitivities.rest(unknowns)
+    share = len(sensitivities.places) / p
+    spare = np.maximum(samples - share, 1.0)
+    covariance = rest @ rest.T / np.sqrt(np.outer(spare, spare))
+    if not mixes_outputs(noise):
+        covariance = np.diag(np.diag(covariance))
+    least = sensitivities.floor**2
+    least = np.where(least > 0, least, max(float(least.max()), np.finfo(float).tiny))
+    covariance = covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0))
+    return covariance, rest, unknowns
 
 
 @dataclass(frozen=True, eq=False)
-class _Derivatives:
+class RecordDerivatives:
     """Derivatives of the outputs of a result on a record."""
 
     result: Any
@@ -120,8 +148,7 @@ class _Derivatives:
     @cached_property
     def observed(self) -> Mask:
         seen = self.record.observed & (np.arange(self.record.samples) >= self.first[:, None])
-        covariance = None if self.result.noise is None else self.result.noise.covariance
-        if covariance is not None and np.any(covariance != np.diag(np.diag(covariance))):
+        if mixes_outputs(self.result.noise):
             seen = np.broadcast_to(seen.all(axis=0), seen.shape)  # the weight of all outputs is that of whole samples
         return np.asarray(seen)
 
@@ -137,25 +164,30 @@ class _Derivatives:
 
     # --- with inputs -------------------------------------------------------------------------------------------------
 
-    def beside_inputs(self) -> Sensitivities:
+    def sensitivities(self) -> Sensitivities:
         """Errors of the simulation; free motion, constant and delay are those of the new record."""
-        result = self.result
-        self._refuse_large()
-        own: list[tuple[Indices | None, Array]] = [*self._of_residues(), *self._of_record()]
-        motion = np.array([column for places, column in own if places is None])
-        forced = self.forced(result.poles, result.residues, result.feedthrough) if len(self.record.u) else 0.0
-        errors = np.where(self.observed, self.record.y - forced, np.nan)
-        amplitudes, errors = self._moving(motion, errors)
-        shared = self._of_poles(amplitudes)
-        columns = np.array([column for _, column in own]).reshape(-1, *errors.shape)
-        every = [np.full(errors.shape[0], -1) if places is None else places for places, _ in own]
-        return self._whitened(errors, shared, columns, np.array(every, int).reshape(len(own), -1))
+        self.refuse_large(1)
+        places, own = self.of_outputs()
+        amplitudes, errors = self._moving(own[np.all(places < 0, axis=1)], self.simulation_errors)
+        return self._whitened(errors, self.of_poles(amplitudes), own, places)
 
-    def _refuse_large(self) -> None:
+    @cached_property
+    def simulation_errors(self) -> Array:
+        """Outputs (p, T) less the simulation from rest; NaN where missing."""
+        result = self.result
+        forced = self.forced(result.poles, result.residues, result.feedthrough) if len(self.record.u) else 0.0
+        return np.where(self.observed, self.record.y - forced, np.nan)
+
+    def of_outputs(self) -> tuple[Indices, Array]:
+        """Derivatives (w, p, T) by what each output has for itself, and their places (w, p)."""
+        shape = self.record.y.shape
+        every = [*self._of_residues(), *((np.full(shape[0], -1), each) for each in self._of_record())]
+        return np.array([places for places, _ in every]), np.array([column for _, column in every])
+
+    def refuse_large(self, copies: int) -> None:
+        """Refuse a record whose derivatives, with so many copies of those of each output, do not fit."""
         poles, p, m = self.result.residues.shape
-        each = 2 * poles * (m + 1) + m + 3
-        noise = self.result.noise
-        unknowns = 2 * poles + each * (p if noise is not None and noise.forces is not None else 1)
+        unknowns = 2 * poles + copies * (2 * poles * (m + 1) + m + 3)
         if unknowns * p * self.record.samples > _MOST:
             raise StructureError(
                 f"the test of {self.record.samples} samples of {p} outputs takes {unknowns * p * self.record.samples} "
@@ -183,18 +215,17 @@ class _Derivatives:
                 through[:, j] = 1.0
                 yield places, self.forced(result.poles[:0], nothing[:0], through)
 
-    def _of_record(self) -> list[tuple[None, Array]]:
+    def _of_record(self) -> Iterator[Array]:
         """Derivatives (p, T) by what each output of a record has for itself."""
         result, shape = self.result, (len(self.record.y), self.record.samples)
         real = result.poles.imag == 0
         columns = [*self.powers.real, *self.powers.imag[~real], np.ones(shape[1])]
         if any(np.any(getattr(data, name, 0.0)) for data in result.experiments for name in ("drift", "drifts")):
             columns.append(np.arange(shape[1]) / shape[1])
-        each: list[tuple[None, Array]] = [(None, np.broadcast_to(column, shape)) for column in columns]
+        yield from (np.broadcast_to(column, shape) for column in columns)
         estimated = result.delay_stderr > 0
         if estimated.any():
-            each.append((None, np.where(estimated[:, None], self._of_delay(), 0.0)))
-        return each
+            yield np.where(estimated[:, None], self._of_delay(), 0.0)
 
     def _of_delay(self) -> Array:
         h = _STEP * self.record.dt
@@ -206,21 +237,25 @@ class _Derivatives:
 
     def _moving(self, columns: Array, errors: Array) -> tuple[ComplexArray, Array]:
         """Amplitudes (n, p) of the free motion, and errors without it and the constant."""
-        real = self.result.poles.imag == 0
-        n, complex_count = len(real), int(np.sum(~real))
-        amplitudes, rest = np.zeros((n, len(errors)), complex), errors.copy()
+        amplitudes, rest = np.zeros((len(self.result.poles), len(errors)), complex), errors.copy()
         for o, seen in enumerate(self.observed):
             rows = columns[:, o].T
             sizes = np.linalg.norm(rows[seen], axis=0)
             rows = rows / np.where(sizes > 0, sizes, 1.0)
             x = np.linalg.lstsq(rows[seen], errors[o, seen], rcond=None)[0]
             rest[o] = errors[o] - rows @ x
-            x = x / np.where(sizes > 0, sizes, 1.0)
-            amplitudes[:, o] = x[:n]
-            amplitudes[~real, o] -= 1j * x[n : n + complex_count]
+            amplitudes[:, o] = self.amplitudes(x / np.where(sizes > 0, sizes, 1.0))
         return amplitudes, rest
 
-    def _of_poles(self, amplitudes: ComplexArray) -> Array:
+    def amplitudes(self, motion: Array) -> ComplexArray:
+        """Complex amplitudes (n,) of the free motion from the factors of its columns, the first of `motion`."""
+        real = self.result.poles.imag == 0
+        n = len(real)
+        each = motion[:n].astype(complex)
+        each[~real] -= 1j * motion[n : n + int(np.sum(~real))]
+        return each
+
+    def of_poles(self, amplitudes: ComplexArray) -> Array:
         """Derivatives (2n, p, T) by sizes and damping ratios of the poles."""
         count, size = len(self.result.poles), (len(self.record.y), self.record.samples)
         by_size, by_damping = np.zeros((2, count, *size))
@@ -256,86 +291,23 @@ class _Derivatives:
             return np.asarray((amplitude[:, None] * slope).real)
         return np.asarray((amplitude[:, None] * (turn * t * self.powers[l])).real)
 
-    # --- outputs alone -----------------------------------------------------------------------------------------------
-
-    def of_outputs_alone(self) -> Sensitivities:
-        """Errors of the predictor; shapes, gains, constants and the state at the first sample are the record's own."""
-        filter = self.result._beside_simulation
-        levels = np.nanmean(np.where(self.observed, self.record.y, np.nan), axis=1, keepdims=True)
-        y = np.where(self.observed, self.record.y - levels, np.nan)
-        errors = np.nan_to_num(self._innovations(y))
-        multipliers, vectors = np.linalg.eig(filter.A)
-        gains, shapes = np.linalg.solve(vectors, filter.K.astype(complex)), filter.C @ vectors
-        places, half = self._of_multipliers(multipliers)
-        columns: list[Array] = []
-        own: list[Array] = []
-        derivatives = np.zeros((2 * len(self.result.poles), *y.shape))
-        for k, l in zip(half, places, strict=True):
-            multiplier, c = multipliers[k], shapes[:, k]
-            twice = 1.0 if multiplier.imag == 0 else 2.0
-            parts = (1.0,) if multiplier.imag == 0 else (1.0, 1j)
-            state = _recursion(multiplier, gains[k] @ errors)
-            again = _recursion(multiplier, state)
-            for row, slope in self._slopes(l, multiplier):
-                derivatives[row] = twice * np.real(np.outer(c * slope, again))
-            for part in parts:
-                own.append(np.broadcast_to((part * state).real, y.shape))
-                columns += [(part * np.outer(c, _recursion(multiplier, error + 0j))).real for error in errors]
-                columns.append((part * np.outer(c, self.powers[l])).real)
-        own.append(np.ones(y.shape))
-        shared = np.concatenate([derivatives, np.array(columns)])
-        sensitivities = self._whitened(y, shared, np.array(own), np.full((len(own), len(y)), -1))
-        tested = np.arange(len(shared))
-        return replace(sensitivities, shared_places=np.where(tested < len(derivatives), tested, -1))
-
-    def _of_multipliers(self, multipliers: ComplexArray) -> tuple[list[int], list[int]]:
-        """Pole of the result that belongs to each eigenvalue of a step, and the eigenvalues that are one of a pair."""
-        steps = np.exp(self.result.poles * self.record.dt)
-        half = [k for k, value in enumerate(multipliers) if value.imag >= 0]
-        return [int(np.argmin(np.abs(steps - multipliers[k]))) for k in half], half
-
-    def _slopes(self, l: int, multiplier: complex) -> Iterator[tuple[int, complex]]:
-        """Row of the derivatives, and derivative of the multiplier, by size and damping ratio of a pole."""
-        p, count = self.result.poles[l], len(self.result.poles)
-        d = np.abs(p)
-        yield l, self.record.dt * multiplier * (p / d if d else -1.0)
-        if p.imag:
-            zeta = -p.real / d
-            yield count + l, self.record.dt * multiplier * d * (-1 - 1j * zeta / np.sqrt(1 - zeta**2))
-
     # --- whitening ---------------------------------------------------------------------------------------------------
 
-    def _innovations(self, values: Array) -> Array:
-        """What the noise model does not foretell of outputs (p, T) without their simulation; NaN where missing."""
-        return np.asarray(self.result._innovations(values, self.record.dt))
+    @property
+    def floor(self) -> Array:
+        """Standard deviation (p,) of rounding."""
+        return _ROUNDING * np.sqrt(np.nanmean(np.where(self.observed, self.record.y, np.nan) ** 2, axis=1))
 
     def _whitened(self, errors: Array, shared: Array, own: Array, own_places: Indices) -> Sensitivities:
         noise, seen = self.result.noise, self.observed
-        floor = _ROUNDING * np.sqrt(np.nanmean(np.where(seen, self.record.y, np.nan) ** 2, axis=1))
-        shared_places = np.arange(len(shared))
-        if noise is not None and noise.forces is not None:
-            # the filter of forces mixes outputs
-            w, p = own_places.shape
-            spread = np.zeros((p, w, p, own.shape[2]))
-            outputs = np.arange(p)
-            spread[outputs, :, outputs] = np.moveaxis(own, 1, 0)
-            shared = np.concatenate([shared, spread.reshape(w * p, p, -1)])
-            shared_places = np.concatenate([shared_places, own_places.T.ravel()])
-            own, own_places = own[:0], own_places[:0]
 
         def whitened(values: Array) -> Array:
-            return np.nan_to_num(self._innovations(np.where(seen, values, np.nan)))
+            visible = np.where(seen, values, np.nan)
+            return np.nan_to_num(self.result._innovations(visible, self.record.dt))
 
         if noise is not None and not noise.is_white:
             errors, *columns = [whitened(values) for values in (errors, *shared, *own)]
             shared, own = np.array(columns[: len(shared)]), np.array(columns[len(shared) :]).reshape(own.shape)
         else:
             errors, shared, own = (np.where(seen, values, 0.0) for values in (errors, shared, own))
-        return Sensitivities(errors, seen, shared, own, shared_places, own_places, floor)
-
-
-def _recursion(multiplier: complex, drive: ComplexArray) -> ComplexArray:
-    """`x[k+1] = multiplier x[k] + drive[k]` from 0."""
-    from scipy.signal import lfilter
-
-    return np.asarray(lfilter([0.0, 1.0], [1.0, -multiplier], drive))
+        return Sensitivities(errors, seen, shared, own, np.arange(len(shared)), own_places, self.floor)
