@@ -48,14 +48,15 @@ def white(frame: Frame, rng: np.random.Generator, samples: int, size: float = 0.
     e = np.sqrt(1 - shared) * e + np.sqrt(shared) * rng.standard_normal(samples)
     memory = noise.get("memory", 0.0)
     e = np.sqrt(1 - memory**2) * lfilter([1.0], [1.0, -memory], e)
-    y = y + pushed + size * y.std(axis=1, keepdims=True) * e + noise.get("offset", 0.0) * rng.standard_normal((len(y), 1))
-    return u, y
+    constant = noise.get("offset", 0.0) * rng.standard_normal((len(y), 1))
+    return u, y + pushed + size * y.std(axis=1, keepdims=True) * e + constant
 
 
 def ambient(frame: Frame, rng: np.random.Generator, samples: int, **_: Any) -> Any:
     """Outputs under white forces alone, of a level that differs from record to record, with noise of 20 %."""
     _, y = frame.outputs(np.zeros((1, samples)), rng, 1.0)
-    return None, np.exp(0.3 * rng.standard_normal()) * y + 0.2 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    noise = 0.2 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    return None, np.exp(0.3 * rng.standard_normal()) * y + noise
 
 
 def decay(frame: Frame, rng: np.random.Generator, samples: int, **_: Any) -> Any:

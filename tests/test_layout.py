@@ -21,7 +21,7 @@ ORDER = (
     "controllers", "plotting", "io", "circuits", "identification.data", "identification.regression",
     "identification.uncertainty", "identification.excitation", "identification.search", "identification.growth",
     "identification.moves", "identification.innovations", "identification.diagnosis", "identification.structure",
-    "identification.estimates", "identification.judge",
+    "identification.estimates", "identification.judge", "identification.change",
     "identification.fit", "identification.many", "identification.validation", "cli", "cli.commands",
 )  # fmt: skip
 

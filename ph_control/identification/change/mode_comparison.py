@@ -201,10 +201,15 @@ def compared_modes(
     alone = [np.setdiff1d(np.arange(result.order), pairs[:, k]) for k, result in enumerate(both)]
     poles_alone = [np.setdiff1d(np.arange(len(result.real_poles)), poles[:, k]) for k, result in enumerate(both)]
     lonely = [result.natural_frequencies[places] / size for result, places in zip(both, alone, strict=True)]
-    assurance = np.full(len(pairs), np.nan) if alike is None else alike[pairs[:, 0], pairs[:, 1]]
     return ModeComparison(
-        pairs, assurance, hertz, hertz_errors, damping, damping_errors, poles, real, real_errors, *z, *p, *adjusted,
-        *alone, *poles_alone, *lonely, level, unit,
+        pairs=pairs, mac=np.full(len(pairs), np.nan) if alike is None else alike[pairs[:, 0], pairs[:, 1]],
+        hertz=hertz, hertz_stderr=hertz_errors, damping_ratios=damping, damping_ratio_stderr=damping_errors,
+        real_pole_pairs=poles, real_poles=real, real_pole_stderr=real_errors,
+        frequency_z=z[0], damping_z=z[1], real_pole_z=z[2], frequency_p=p[0], damping_p=p[1], real_pole_p=p[2],
+        adjusted_frequency_p=adjusted[0], adjusted_damping_p=adjusted[1], adjusted_real_pole_p=adjusted[2],
+        only_before=alone[0], only_after=alone[1], real_poles_only_before=poles_alone[0],
+        real_poles_only_after=poles_alone[1], hertz_only_before=lonely[0], hertz_only_after=lonely[1],
+        level=level, time_unit=unit,
     )  # fmt: skip
 
 

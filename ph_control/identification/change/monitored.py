@@ -55,9 +55,9 @@ class Monitored:
         -----
         As many modes are paired as can be within the bounds, those of the least sum of distances in frequency and of
         `1 - MAC`; real poles of one sign pair up to a factor of 2.  A shift over its standard error,
-        `z = (after - before) / sqrt(s1^2 + s2^2)`, is standard normal if nothing has changed.  The adjusted p-values are
-        those of Holm over all frequencies, damping ratios and real poles, so that the probability of any false shift is
-        at most `level`.  Both fits must hold: see their verdicts.  O(n^3).
+        `z = (after - before) / sqrt(s1^2 + s2^2)`, is standard normal if nothing has changed.  The adjusted p-values
+        are those of Holm over all frequencies, damping ratios and real poles, so that the probability of any false
+        shift is at most `level`.  Both fits must hold: see their verdicts.  O(n^3).
 
         Examples
         --------

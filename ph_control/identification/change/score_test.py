@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 
 from ... import _checks
 from ..._checks import EPS
-from ..._display import Report, aligned, counted, p_value, to_its_error
+from ..._display import Report, aligned, p_value, to_its_error
 from ..._frozen import Frozen
 from ..._types import Array, Indices, Mask
 from ..._units import common_unit, hertz_size, rate
@@ -173,13 +173,13 @@ def _cells(shift: float, error: float) -> list[str]:
 def score_test(result: Any, data: Any, parameters: str, level: float, dt: float | None) -> ChangeTest:
     """Test the parameters of a result on a new record."""
     _checks.choice("parameters", parameters, TESTED)
-    level = 1.0 - _checks.level("level", 1.0 - level if isinstance(level, float) else level)
+    level = _checks.level("level", level)
     record = _new_record(result, data, dt)
     directions, tested = _directions(result, parameters)
     sensitivities = sensitivities_of(result, record)
     _refuse_short(sensitivities)
     covariance, rest = noise_of(result, sensitivities)[:2]
-    normal, gradient = sensitivities.products(np.linalg.inv(covariance))
+    normal, gradient = sensitivities.products(np.asarray(np.linalg.inv(covariance)))
     normal, gradient = _without_others(normal, gradient, sensitivities.places, tested)
     score, information = directions.T @ gradient, directions.T @ normal @ directions
     return _judged(result, record, parameters, level, _Score(score, information, directions, tested), rest, covariance)

@@ -129,6 +129,15 @@ def noise_of(result: Any, sensitivities: Sensitivities) -> tuple[Array, Array, A
     return covariance, rest, unknowns
 
 
+def directions_of(p: complex) -> list[complex]:
+    """Derivatives of a pole by its size, and by its damping ratio if it is one of a pair."""
+    d = abs(p)
+    if not p.imag:
+        return [p / d if d else -1.0 + 0j]
+    zeta = -p.real / d
+    return [p / d, d * (-1 - 1j * zeta / np.sqrt(1 - zeta**2))]
+
+
 @dataclass(frozen=True, eq=False)
 class RecordDerivatives:
     """Derivatives of the outputs of a result on a record."""
@@ -138,6 +147,7 @@ class RecordDerivatives:
 
     @cached_property
     def hold(self) -> Hold:
+        """How the inputs meet the samples."""
         return Hold(self.record.dt, self.result.method, self.result.intersample)
 
     @cached_property
@@ -147,6 +157,7 @@ class RecordDerivatives:
 
     @cached_property
     def observed(self) -> Mask:
+        """Which samples (p, T) count."""
         seen = self.record.observed & (np.arange(self.record.samples) >= self.first[:, None])
         if mixes_outputs(self.result.noise):
             seen = np.broadcast_to(seen.all(axis=0), seen.shape)  # the weight of all outputs is that of whole samples
@@ -260,12 +271,7 @@ class RecordDerivatives:
         count, size = len(self.result.poles), (len(self.record.y), self.record.samples)
         by_size, by_damping = np.zeros((2, count, *size))
         for l, p in enumerate(self.result.poles):
-            d = np.abs(p)
-            directions = [p / d if d else -1.0 + 0j]
-            if p.imag:
-                zeta = -p.real / d
-                directions.append(d * (-1 - 1j * zeta / np.sqrt(1 - zeta**2)))
-            for out, turn in zip((by_size, by_damping), directions, strict=False):
+            for out, turn in zip((by_size, by_damping), directions_of(p), strict=False):
                 out[l] = self._along(l, turn) + self._moved(l, turn, amplitudes[l])
         return np.concatenate([by_size, by_damping])
 

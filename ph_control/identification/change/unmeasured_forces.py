@@ -20,7 +20,7 @@ from scipy.signal import lfilter
 from ..._types import Array, ComplexArray, Indices
 from ..data.channels import Recording
 from ..uncertainty.kalman import KalmanFilter
-from .sensitivities import RecordDerivatives, Sensitivities, noise_of, refuse_growth
+from .sensitivities import RecordDerivatives, Sensitivities, directions_of, noise_of, refuse_growth
 
 _ROUNDS = 2  # of these steps
 _HALVINGS = 6  # of each
@@ -85,7 +85,8 @@ class ForcedMotion:
     @property
     def parts(self) -> list[tuple[int, complex]]:
         """Each multiplier with 1, and each of a pair with 1j as well."""
-        return [(k, part) for k, value in enumerate(self.multipliers) for part in ((1.0,) if value.imag == 0 else (1.0, 1j))]
+        pairs = self.multipliers.imag != 0
+        return [(k, part) for k, pair in enumerate(pairs) for part in (1.0, 1j)[: 1 + int(pair)]]
 
     def moved(self, steps: Array) -> ForcedMotion:
         """The same with other shapes and gains, by steps in the order of `of_forces`."""
@@ -115,12 +116,7 @@ class ForcedMotion:
                 continue
             mu, p = self.multipliers[k], poles[l]
             again = _recursion(mu, _recursion(mu, self.gains[k] @ errors))
-            d = np.abs(p)
-            slopes = [p / d if d else -1.0 + 0j]
-            if p.imag:
-                zeta = -p.real / d
-                slopes.append(d * (-1 - 1j * zeta / np.sqrt(1 - zeta**2)))
-            for row, slope in zip((l, len(poles) + l), slopes, strict=False):
+            for row, slope in zip((l, len(poles) + l), directions_of(p), strict=False):
                 derivatives[row] += self.twice[k] * np.outer(self.shapes[:, k] * (slope * dt * mu), again).real
         return derivatives
 

@@ -24,7 +24,7 @@ from ...modal.modal_form import from_frequencies, imaginary
 from ...reduction.nearest_passive import nearest_passive
 from ...systems.port_hamiltonian import PortHamiltonian, ph
 from ..change.monitored import Monitored
-from ..data.channels import Recording, ResponseMatrix, several
+from ..data.channels import Recording, several
 from ..data.experiments import as_channels, one_recording
 from ..data.time_record import InTime
 from ..data.windowed import response_through
