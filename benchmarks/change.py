@@ -31,7 +31,7 @@ FRAME = Frame(
     np.array([0.4, 0.75]), np.array([0.01, 0.015]), np.array([[1.0, 0.8], [0.6, -1.0]]), np.array([[1.0], [0.8]]),
     np.array([[0.6, 0.7], [-1.0, 0.9]]),
 )  # fmt: skip
-SHIFTS = (0.0, 0.0005, 0.001, 0.0015, 0.002, 0.003)
+SHIFTS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0)  # standard errors of the difference of two fits
 
 
 def shifted(frame: Frame, share: float) -> Frame:
@@ -146,24 +146,52 @@ def level(name: str, seeds: int, first: int, parameters: str) -> None:
 def power(name: str, seeds: int, first: int, parameters: str) -> None:
     """Alarms by the shift of the first frequency: the score test, its first mode, and a fit of the new record."""
     kind = KINDS[name]
-    counts = np.zeros((len(SHIFTS), 4))
+    counts = np.zeros((len(SHIFTS), 5))
     for seed in range(first, first + seeds):
         rng = np.random.default_rng([seed, 33])
         result = fitted(kind, kind.record(rng))
-        for k, share in enumerate(SHIFTS):
+        error = np.sqrt(2.0) * result.stderr["natural_frequencies"][0] / result.natural_frequencies[0]
+        for k, share in enumerate(error * np.array(SHIFTS)):
             fresh = kind.record(rng, share)
             test = result.changed(fresh, parameters=parameters)
             comparison = result.compare(fitted(kind, fresh))
             refit = np.r_[comparison.adjusted_frequency_p, comparison.adjusted_damping_p].min(initial=1.0)
-            counts[k] += [test.changed, 0 in test.modes, test.frequency_p[0] < LEVEL, refit < LEVEL]
-    for share, row in zip(SHIFTS, 100 * counts / seeds, strict=True):
-        print(f"{name:11} {100 * share:7.3f} " + " ".join(f"{value:8.1f}" for value in row), flush=True)
+            counts[k] += [share, test.changed, 0 in test.modes, test.frequency_p[0] < LEVEL, refit < LEVEL]
+    for errors, (share, *row) in zip(SHIFTS, 100 * counts / seeds, strict=True):
+        print(f"{name:11} {errors:6.1f} {share:8.4f} " + " ".join(f"{value:8.1f}" for value in row), flush=True)
+
+
+def chart(name: str, seeds: int, first: int, _: str) -> None:
+    """Charts of 40 recordings against a fit of five: alarms without a change, and delay after one at the tenth.
+
+    The shift is that of three errors of the frequency in one recording.
+    """
+    kind, rate, recordings, before = KINDS[name], 0.01, 40, 10
+    alarms, early, delays = 0, 0, []
+    for seed in range(first, first + seeds):
+        rng = np.random.default_rng([seed, 34])
+        result = fitted(kind, [kind.record(rng) for _ in range(5)])
+        share = 3 * np.sqrt(5.0) * result.stderr["natural_frequencies"][0] / result.natural_frequencies[0]
+        for shift in (0.0, share):
+            records = [kind.record(rng, shift * (k >= before)) for k in range(recordings)]
+            table = phc.fit_many(records, reference=result, dt=1.0, delay=0, **kind.options)
+            seen = table.changes(false_alarms=rate).alarms
+            if not shift:
+                alarms += len(seen) > 0
+            elif len(seen) and seen[0] < before:
+                early += 1
+            else:
+                delays.append(seen[0] - before + 1 if len(seen) else recordings)
+    expected = 100 * (1 - (1 - rate) ** recordings)
+    print(
+        f"{name:11} {100 * alarms / seeds:8.1f} {expected:9.1f} {np.median(delays):7.1f} {max(delays):8.0f}", flush=True
+    )
 
 
 def main() -> None:
     """Print the table of a task."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("task", choices=("level", "power"))
+    parser.add_argument("task", choices=("level", "power", "chart"))
     parser.add_argument("--kind", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)
@@ -171,9 +199,10 @@ def main() -> None:
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     print({"level": "kind        % all  naive   mode  shifts  dof    fit s  test ms",
-           "power": "kind        shift %     test first mode  shift   refit"}[given.task])  # fmt: skip
+           "chart": "kind        % alarm  expected  median longest delay",
+           "power": "kind        errors  shift %     test first mode  shift   refit"}[given.task])  # fmt: skip
     for name in given.kind:
-        {"level": level, "power": power}[given.task](name, given.seeds, given.first, given.parameters)
+        {"level": level, "power": power, "chart": chart}[given.task](name, given.seeds, given.first, given.parameters)
 
 
 if __name__ == "__main__":

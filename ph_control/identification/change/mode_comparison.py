@@ -45,11 +45,11 @@ class ModeComparison(Report, Frozen):
         Probability of a shift as large by chance, each by itself.
     adjusted_frequency_p, adjusted_damping_p, adjusted_real_pole_p : ndarray, shapes (k,), (k,), (r,)
         The same for all these tests together, by the method of Holm.
-    only_before, only_after : ndarray of int
+    only_before, only_after : ndarray of int, shape (j,)
         Modes of one fit without a partner in the other.
-    real_poles_only_before, real_poles_only_after : ndarray of int
+    real_poles_only_before, real_poles_only_after : ndarray of int, shape (j,)
         Real poles of one fit without a partner in the other.
-    hertz_only_before, hertz_only_after : ndarray
+    hertz_only_before, hertz_only_after : ndarray, shape (j,)
         Natural frequencies in Hz of the modes without a partner.
     level : float
         Probability of any false shift; adjusted p-values below it count as shifts.

@@ -70,7 +70,7 @@ class Monitored:
         >>> before, after = (phc.pem(recording(*each), dt=0.5) for each in (([1.0, 2.0], 0), ([0.99, 2.0], 1)))
         >>> comparison = before.compare(after)
         >>> comparison.shifted, comparison.frequency_z.round()
-        (array([0]), array([-24.,  -1.]))
+        (array([0]), array([-316.,   -2.]))
         """
         if not isinstance(other, Monitored):
             raise StructureError(f"other is {_checks.shown(other)}; pass the result of another fit by pem")

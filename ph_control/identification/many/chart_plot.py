@@ -32,7 +32,7 @@ def chart_plot(chart: Any, ax: Any = None, **style: Unpack[FrameStyle]) -> ct.Co
         if beyond.any():
             drawn.lines[0, 0] += above.plot(x[beyond], sums[beyond], "o", color="C3", markersize=5, label="alarm")
         above.set_ylabel("Cumulative sum of scores")
-        above.set_ylim(bottom=0.0)
+        above.set_ylim(0.0, 1.15 * max(chart.limit, float(sums.max(initial=0.0))))
         drawn.lines[1, 0] = [below.axhline(0.0, **ZERO)]
         modes = len(chart.hertz)
         aside = 0.25 * (np.arange(modes) - 0.5 * (modes - 1)) / max(modes, 1)
@@ -48,5 +48,7 @@ def chart_plot(chart: Any, ax: Any = None, **style: Unpack[FrameStyle]) -> ct.Co
         below.xaxis.set_major_locator(MaxNLocator(integer=True))
         for axis in drawn.axes[:, 0]:
             look.lattice(axis)
-        few = modes <= _NAMED or look.show_legend
-        return drawn.finished("Changes from the reference", drawn.legend_of_all() if few else False)
+        named = look.legend(above)
+        if modes <= _NAMED or look.show_legend:
+            look.legend(below)
+        return drawn.finished("Changes from the reference", named)

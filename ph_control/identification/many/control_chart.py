@@ -52,6 +52,8 @@ class ControlChart(Report, Frozen):
         first.
     shift : float
         Size of a lasting shift that the chart finds soonest, in standard deviations of the score of a recording.
+    start : int or None
+        Recording from which on a lasting shift makes the scores up to the first alarm likeliest; None without an alarm.
     p : ndarray, shape (k,)
         p-value of each recording by itself, held against the reference and the recordings before.
     hertz : ndarray, shape (n,)
@@ -75,6 +77,7 @@ class ControlChart(Report, Frozen):
     limit: float
     false_alarm_rate: float
     shift: float
+    start: int | None
     p: Array
     hertz: Array
     frequency_shift: Array
@@ -86,15 +89,6 @@ class ControlChart(Report, Frozen):
     def alarms(self) -> Indices:
         """Recordings at which the cumulative sum is beyond the limit."""
         return self.recordings[self.statistic > self.limit]
-
-    @property
-    def start(self) -> int | None:
-        """First recording of the sum that led to the first alarm, where the change probably began; None without one."""
-        beyond = np.flatnonzero(self.statistic > self.limit)
-        if not len(beyond):
-            return None
-        still = np.flatnonzero(self.statistic[: beyond[0]] == 0)
-        return int(self.recordings[still[-1] + 1 if len(still) else 0])
 
     def _headline(self) -> str:
         rate = f"one false alarm in {1 / self.false_alarm_rate:.0f} recordings without a change"
@@ -134,7 +128,16 @@ class ControlChart(Report, Frozen):
 
         Examples
         --------
-        See `FitTable.changes`.
+        >>> import numpy as np, matplotlib.pyplot as plt, ph_control as phc
+        >>> def recording(seed):
+        ...     rng = np.random.default_rng(seed)
+        ...     plant, u = phc.ph(phc.modes(1.0, 1.0, damping=0.01)), rng.standard_normal(300)
+        ...     y = phc.forced_response(plant, 0.5 * np.arange(300), u, intersample="zoh").outputs
+        ...     return u, y + rng.standard_normal(300)
+        >>> plot = phc.fit_many([recording(seed) for seed in range(4)], order=1, dt=0.5).changes().plot()
+        >>> [axis.get_ylabel() for axis in plot.axes[:, 0]]
+        ['Cumulative sum of scores', 'Change of natural frequency [%]']
+        >>> plt.close(plot.figure)
         """
         return chart_plot(self, **kwargs)
 
@@ -148,25 +151,31 @@ def chart_of(
     dimensions = seen[0][1].score.size if seen else 1
     allowance = 0.5 * shift
     limit = limit_for(1 / false_alarms, allowance, dimensions)
-    sizes, p = _sums([score for _, score in seen], dimensions, allowance, limit)
+    sizes, p, first = _sums([score for _, score in seen], dimensions, allowance, limit)
     shifts = [_frequency_shifts(score, hertz) for _, score in seen]
     each = np.array(shifts, float).reshape(len(seen), 2, len(hertz))
     return ControlChart(
-        np.array([place for place, _ in seen], int), tuple(names[place] for place, _ in seen), sizes, limit,
-        1 / average_run(limit, allowance, dimensions), shift, p, hertz, each[:, 0], each[:, 1],
-        tuple((place, score) for place, score in enumerate(scores) if isinstance(score, str)), unit,
+        recordings=np.array([place for place, _ in seen], int), names=tuple(names[place] for place, _ in seen),
+        statistic=sizes, limit=limit, false_alarm_rate=1 / average_run(limit, allowance, dimensions), shift=shift,
+        start=None if first is None else seen[first][0], p=p, hertz=hertz, frequency_shift=each[:, 0],
+        frequency_shift_stderr=each[:, 1],
+        unavailable=tuple((place, score) for place, score in enumerate(scores) if isinstance(score, str)),
+        frequency_unit=unit,
     )  # fmt: skip
 
 
-def _sums(scores: Sequence[RecordingScore], dimensions: int, allowance: float, limit: float) -> tuple[Array, Array]:
-    """Size of the cumulative sum after each recording, and the p-value of each.
+def _sums(
+    scores: Sequence[RecordingScore], dimensions: int, allowance: float, limit: float
+) -> tuple[Array, Array, int | None]:
+    """Size of the cumulative sum after each recording, the p-value of each, and where the first alarm began.
 
     All recordings are held against one reference, whose error they share: each is held against the estimate from the
     reference and the recordings before it, so that they are independent.  After an alarm that estimate stays.
     """
     total, mean, precision = np.zeros(dimensions), np.zeros(dimensions), np.eye(dimensions)
     spread: Array
-    sizes, p, alarmed = [], [], False
+    sizes, p, steps = [], [], list[Array]()
+    start: int | None = None
     for recording in scores:
         F = recording.information
         spread = np.asarray(np.linalg.inv(precision))
@@ -174,11 +183,19 @@ def _sums(scores: Sequence[RecordingScore], dimensions: int, allowance: float, l
         p.append(float(chdtrc(rank, step @ step)) if rank else np.nan)
         total = next_sum(total, step, allowance)
         sizes.append(float(np.linalg.norm(total)))
-        alarmed |= sizes[-1] > limit
-        if not alarmed:
+        steps.append(step)
+        if start is None and sizes[-1] > limit:
+            start = _likely_start(np.array(steps))
+        if start is None:
             mean = np.asarray(np.linalg.solve(precision + F, precision @ mean + recording.score))
             precision = precision + F
-    return np.array(sizes), np.array(p)
+    return np.array(sizes), np.array(p), start
+
+
+def _likely_start(steps: Array) -> int:
+    """Place from which on one mean of all steps (k, q) makes these likeliest."""
+    tails = np.cumsum(steps[::-1], axis=0)[::-1]
+    return int(np.argmax(np.sum(tails**2, axis=1) / np.arange(len(steps), 0, -1.0)))
 
 
 def _frequency_shifts(recording: RecordingScore, hertz: Array) -> tuple[Array, Array]:

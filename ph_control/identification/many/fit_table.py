@@ -195,7 +195,7 @@ class FitTable(Report, Frozen):
         ...     rng = np.random.default_rng(seed)
         ...     plant, u = phc.ph(phc.modes(d, 1.0, damping=0.01)), rng.standard_normal(500)
         ...     y = phc.forced_response(plant, 0.5 * np.arange(500), u, intersample="zoh").outputs
-        ...     return u, y + 2.0 * rng.standard_normal(500)
+        ...     return u, y + 0.5 * rng.standard_normal(500)
         >>> reference = phc.pem([recording(1.0, seed) for seed in range(3)], 1, dt=0.5)
         >>> frequencies = [1.0] * 5 + [0.998] * 3
         >>> fits = phc.fit_many(

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from control.iosys import NamedSignal
 
+from ..._frozen import Frozen
 from ..._types import Array, ComplexArray
 from ..._units import hertz_size
 from ..._workers import uninterrupted
@@ -60,8 +61,8 @@ def _plain(data: Any) -> Any:
     return type(data)(map(_plain, data)) if type(data) in (tuple, list) else data
 
 
-@dataclass(frozen=True)
-class Modes:
+@dataclass(frozen=True, eq=False)
+class Modes(Frozen):
     """What the table of many fits says of one recording; of a failure the order is -1."""
 
     name: str
