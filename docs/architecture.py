@@ -14,6 +14,7 @@ FOLDERS = {
     "identification.validation": "models on new data",
     "identification.many": "many recordings, tracking",
     "identification.fit": "pem and its result",
+    "identification.change": "has the plant changed",
     "identification.judge": "residuals, evidence, outcome",
     "identification.estimates": "parameters with errors",
     "identification.excitation": "what inputs show, test design",

@@ -58,6 +58,8 @@ from .exceptions import PHControlError as PHControlError
 from .exceptions import ResolutionWarning as ResolutionWarning
 from .exceptions import StructureError as StructureError
 from .exceptions import UnknownKeywordError as UnknownKeywordError
+from .identification.change.mode_comparison import ModeComparison as ModeComparison
+from .identification.change.score_test import ChangeTest as ChangeTest
 from .identification.data.data_frames import recording as recording
 from .identification.estimates.base_participation import base_motion as base_motion
 from .identification.estimates.stabilisation import Stabilisation as Stabilisation
@@ -74,6 +76,7 @@ from .identification.fit.pem import prediction_error_fit as prediction_error_fit
 from .identification.fit.pem_result import PEMResult as PEMResult
 from .identification.growth.order_selection import OrderSelection as OrderSelection
 from .identification.growth.order_selection import order_selection as order_selection
+from .identification.many.control_chart import ControlChart as ControlChart
 from .identification.many.fit_many import RecordingFitted as RecordingFitted
 from .identification.many.fit_many import fit_many as fit_many
 from .identification.many.fit_table import FitTable as FitTable

@@ -33,7 +33,7 @@ def _results():
         phc.pem((u, np.stack([y, -y])), 2, dt=0.1, structure="free"),
     ]
     canonical = phc.ch([1.0, 2.0], [1.0, 1.0, 1.0, 1.0])
-    many = phc.fit_many([(u, y)], dt=0.1, order=2)
+    many = phc.fit_many([(u, y)], dt=0.1, order=2, reference=fits[0])
     start = [0.52, 1.9], [1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 0.0, 0.0]
     bootstrap = fits[0].bootstrap(10, rng=1)
     fixture = ct.frd(plant(1j * w) + 0.3 + 0.2j * w + noise, w)
@@ -50,7 +50,8 @@ def _results():
         phc.design_input(fits[0], 60, 0.1, peak=1.0, for_="natural_frequencies"),
         phc.excitation((u, None), phc.modes(1.0, 1.0, damping=0.1), dt=0.1),
         phc.excitation((u, None), 1, dt=0.1), phc.NoiseModel([[1.0]], 0.1, [[0.5]]),
-        many, many.track(shortest=1), fits[0].stabilisation(1),
+        many, many.track(shortest=1), many.changes(), fits[0].changed((u, y)), fits[0].compare(fits[1]),
+        fits[0].stabilisation(1),
         phc.RecordingFitted(1, 0, None, "name", "message"),
         phc.optimal_damping(phc.spring_chain([1.0, 2.0], ground=1.0)),
         phc.UniversalModes(_locked([-0.1 + 1j]), _locked([[1.0 + 0j]]), _locked([2j]), ("1+Z",)),

@@ -117,6 +117,7 @@ CALLS: dict[str, list[Callable[..., Any]]] = {
     "shape_plot": [lambda **k: phc.shape_plot(np.eye(2), **k)],
     "fit_many": [lambda **k: phc.fit_many([], **k)],
     "FitTable.plot": [lambda **k: phc.fit_many([]).plot(**k)],
+    "ControlChart.plot": [lambda **k: phc.fit_many([recording()], reference=fitted()).changes().plot(**k)],
     "ModeTracks.plot": [lambda **k: phc.fit_many([]).track().plot(**k)],
     "fit_plot": [lambda **k: phc.fit_plot(T, T, T, **k), lambda **k: phc.fit_plot(fitted(), **k)],
     "SecondOrderSystem": [lambda **k: phc.SecondOrderSystem(np.eye(2), np.diag([1.0, 4.0]), [1.0, 0.0], **k)],

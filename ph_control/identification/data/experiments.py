@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from control import FrequencyResponseData, TimeResponseData
 
+from ... import _checks
 from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
 from .channels import (
@@ -191,6 +192,19 @@ def as_record(data: Any, dt: float | None = None, *, input_needed: bool = True, 
     if input_needed and not record.driven:
         raise StructureError("the record has no input; pass one that varies (a free motion is estimated along with it)")
     return record
+
+
+def one_recording(data: Any, dt: Any, outputs: int) -> Recording:
+    """Make one recording of data that `as_channels` takes; without outputs these are missing throughout."""
+    blind = isinstance(data, tuple) and len(data) == 2 and data[1] is None
+    if blind:
+        u = np.atleast_2d(_checks.real_array("the input", data[0]))
+        data = (u, np.zeros((outputs, u.shape[1])))
+    channels: Any = as_channels(data, dt if isinstance(data, tuple) else None)
+    if len(channels) > 1 or isinstance(channels[0], ResponseMatrix):
+        raise StructureError(f"data is a {type(data).__name__} of {len(channels)} experiments; pass one time record")
+    record: Recording = several(channels[0])
+    return replace(record, y=np.full_like(record.y, np.nan)) if blind else record
 
 
 # --- one or several --------------------------------------------------------------------------------------------------

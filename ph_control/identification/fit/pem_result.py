@@ -23,8 +23,9 @@ from ...modal.general_form import from_vectors, real_matrices
 from ...modal.modal_form import from_frequencies, imaginary
 from ...reduction.nearest_passive import nearest_passive
 from ...systems.port_hamiltonian import PortHamiltonian, ph
-from ..data.channels import Recording, ResponseMatrix, several
-from ..data.experiments import as_channels
+from ..change.monitored import Monitored
+from ..data.channels import Recording, several
+from ..data.experiments import as_channels, one_recording
 from ..data.time_record import InTime
 from ..data.windowed import response_through
 from ..diagnosis.verdict import HypothesisTest, Outcome
@@ -60,7 +61,7 @@ _NO_SIZE = 1e-9  # of the largest singular value of a residue: what a state of i
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes):
+class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, FittedModes):
     """Result of `pem`: modes and real poles of m inputs and p outputs.
 
     Attributes
@@ -770,7 +771,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, FittedModes)
         if not isinstance(data, ct.TimeResponseData | Recording) and not (isinstance(data, tuple) and len(data) == 2):
             data = (data, None)
         step = getattr(fitted, "dt", None) if dt is None else dt
-        record = _recording(data, step, p)
+        record = one_recording(data, step, p)
         if (len(record.u), len(record.y)) != (m, p):
             raise StructureError(
                 f"the record has {len(record.u)} inputs and {len(record.y)} outputs; this model has {m} and {p}"
@@ -885,15 +886,3 @@ def _complex(real: Array, imaginary: Array, shape: tuple[int, ...]) -> ComplexAr
     values = np.empty(len(real), complex)
     values.real, values.imag = real, imaginary
     return values.reshape(shape)
-
-
-def _recording(data: Any, dt: Any, outputs: int) -> Recording:
-    """One recording; without outputs these are missing throughout."""
-    blind = isinstance(data, tuple) and data[1] is None
-    if blind:
-        u = np.atleast_2d(_checks.real_array("the input", data[0]))
-        data = (u, np.zeros((outputs, u.shape[1])))
-    channels: Any = as_channels(data, dt if isinstance(data, tuple) else None)
-    if len(channels) > 1 or isinstance(channels[0], ResponseMatrix):
-        raise StructureError(f"data is a {type(data).__name__} of {len(channels)} experiments; pass one time record")
-    return replace(channels[0], y=np.full_like(channels[0].y, np.nan)) if blind else channels[0]

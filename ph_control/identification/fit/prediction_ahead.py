@@ -111,6 +111,15 @@ class Foretelling:
     # --- the filter ------------------------------------------------------------------------------------------------
 
     @property
+    def _grows(self) -> bool:
+        """Whether there is a pole that grows."""
+        return grows(self)
+
+    def _innovations(self, rest: Array, dt: float) -> Array:
+        """What the noise model does not foretell of outputs (p, T) less their simulation; NaN where missing."""
+        return rest - ahead(self, np.zeros(rest.shape), rest, dt, 1)
+
+    @property
     def _noise_in_time(self) -> NoiseModel:
         if self.noise is None:
             raise NoSuchQuantityError(

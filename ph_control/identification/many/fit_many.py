@@ -21,6 +21,7 @@ from ..._workers import check_workers, completed
 from ...exceptions import IdentifiabilityWarning, OutputExistsError, StructureError
 from ..data.data_frames import is_data_frame
 from ..fit.pem import pem
+from ..fit.pem_result import PEMResult
 from .fit_table import FitTable, table_of
 from .recordings import FitAndKeep, Modes, sources
 
@@ -59,6 +60,7 @@ def fit_many(
     store: str | os.PathLike[str] | None = None,
     callback: Callable[[RecordingFitted], Any] | None = None,
     reader: Callable[[Path], Any] | None = None,
+    reference: PEMResult | None = None,
     **pem_options: Any,
 ) -> FitTable:
     """Fit modes to each of many recordings, in any number of processes or on a cluster.
@@ -81,6 +83,9 @@ def fit_many(
         Gives the data of a `pathlib.Path`, such as `functools.partial(phc.read_csv, input="force", output="speed")`;
         other processes import it.  By default the suffix chooses between the readers of this package: text tables in
         time or frequency, `.mat`, `.uff`, Touchstone.
+    reference : PEMResult, optional
+        Fit of the same plant, for `FitTable.changes`: each recording is tested against it as by `PEMResult.changed`
+        with ``parameters="poles"``, whether it can be fitted or not.
     **pem_options
         Options of `pem`, the same for all recordings; `rng` is a whole number.
 
@@ -92,7 +97,7 @@ def fit_many(
     Raises
     ------
     StructureError
-        If `recordings`, `workers`, `callback` or `rng` is not of this form.
+        If `recordings`, `workers`, `callback`, `reference` or `rng` is not of this form.
     OutputExistsError
         If `store` is a file.
     TypeError
@@ -135,6 +140,8 @@ def fit_many(
     check_workers(workers)
     if callback is not None and not callable(callback):
         raise StructureError(f"callback is {_checks.shown(callback)}; pass a function of one argument, or None")
+    if not (reference is None or isinstance(reference, PEMResult)):
+        raise StructureError(f"reference is {_checks.shown(reference)}; pass the result of a fit by pem, or None")
     unknown = sorted(set(pem_options) - _OPTIONS)
     if unknown:
         raise TypeError(
@@ -145,7 +152,7 @@ def fit_many(
     if rng is not None and not _checks.is_whole(rng):
         raise StructureError(f"rng is {_checks.shown(rng)}; expected a whole number, the seed of each fit")
     listed, total = _listed(recordings)
-    fit = FitAndKeep(pem_options, reader, None if store is None else _folder(store))
+    fit = FitAndKeep(pem_options, reader, None if store is None else _folder(store), reference)
     modes: dict[int, Modes] = {}
     failed, whole = 0, False
     with warnings.catch_warnings(), closing(completed(fit, listed, workers)) as ended:

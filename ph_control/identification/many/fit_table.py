@@ -14,6 +14,8 @@ from ..._display import Report, aligned, counted, to_its_error
 from ..._frozen import Frozen
 from ..._types import ComplexArray, NDArray
 from ...exceptions import MissingPackageError, StructureError
+from .control_chart import ControlChart
+from .recording_scores import chart_of_recordings
 from .recordings import Modes
 from .tracking import ModeTracks, followed
 
@@ -36,6 +38,8 @@ class FitTable(Report, Frozen):
         Whether all recordings are in it; not after an interruption.
     frequency_unit : str
         Unit of `hertz`: "Hz", or "1/time" where a recording does not tell its unit of time.
+    recordings : tuple of Modes
+        Modes of each recording with their covariance, and its test against the reference of `fit_many`.
 
     Notes
     -----
@@ -53,6 +57,7 @@ class FitTable(Report, Frozen):
     shapes: tuple[ComplexArray, ...]
     complete: bool
     frequency_unit: str = "Hz"
+    recordings: tuple[Modes, ...] = ()
 
     def __len__(self) -> int:
         return len(self.table)
@@ -144,23 +149,93 @@ class FitTable(Report, Frozen):
         ids = followed(self.table, self.shapes, frequency_tolerance, least_mac, window, gap, shortest)
         return ModeTracks(self.table, ids, self.frequency_unit)
 
-    def plot(self, **kwargs: Any) -> ct.ControlPlot:
-        """Natural frequencies and damping ratios against the recordings, modes followed as by `track()`.
+    def changes(self, *, false_alarms: float = 0.001, shift: float = 1.0) -> ControlChart:
+        """Control chart of the recordings: cumulative sum of their scores against the reference.
 
         Parameters
         ----------
+        false_alarms : float
+            False alarms for each recording, where nothing changes: with 0.001 the first comes after 1000 recordings in
+            the mean.
+        shift : float
+            Size of a lasting shift that is to be found soonest, in standard deviations of the score of a recording.
+
+        Returns
+        -------
+        ControlChart
+            The sum after each recording, its limit, alarms, and the shift of each frequency.
+
+        Raises
+        ------
+        StructureError
+            If a number is out of range, or no recording has a score.
+
+        See Also
+        --------
+        PEMResult.changed : tests one record.
+
+        Notes
+        -----
+        With the `reference` of `fit_many` the scores are those of its poles on each recording.  Without one the first
+        recording that could be fitted is the reference, and the differences of fitted poles take the place of scores,
+        of modes that `track` follows from it.
+
+        All recordings share the error of the reference.  So each is held against the best estimate from the reference
+        and the recordings before it, `u = (F + F P F)^(-1/2) (z - F m)`, which makes the u independent and standard
+        normal if nothing changes, whatever the length of the reference.  After the first alarm that estimate stays.
+        The sum is that of Crosier, `S = (S + u) max(0, 1 - k / |S + u|)` with `k = shift / 2`; its limit comes from
+        the Markov chain of `|S|`, which is exact for normal scores.  A change right after a short reference is found
+        late, as it may be an error of this: fit several recordings together for the reference.  O(q^3) for each
+        recording with q poles, and 0.2 s for the limit.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> def recording(d, seed):
+        ...     rng = np.random.default_rng(seed)
+        ...     plant, u = phc.ph(phc.modes(d, 1.0, damping=0.01)), rng.standard_normal(500)
+        ...     y = phc.forced_response(plant, 0.5 * np.arange(500), u, intersample="zoh").outputs
+        ...     return u, y + 0.5 * rng.standard_normal(500)
+        >>> reference = phc.pem([recording(1.0, seed) for seed in range(3)], 1, dt=0.5)
+        >>> frequencies = [1.0] * 5 + [0.998] * 3
+        >>> fits = phc.fit_many(
+        ...     [recording(d, 10 + k) for k, d in enumerate(frequencies)], order=1, dt=0.5, reference=reference
+        ... )
+        >>> chart = fits.changes()
+        >>> chart.alarms, chart.start, round(chart.false_alarm_rate, 4)
+        (array([5, 6, 7]), 5, 0.001)
+        """
+        for name, value, most in (("false_alarms", false_alarms, 0.1), ("shift", shift, 100.0)):
+            if isinstance(value, bool) or not (isinstance(value, int | float | np.number) and 0 < value <= most):
+                raise StructureError(f"{name} is {_checks.shown(value)}; expected a number above 0, up to {most:g}")
+        return chart_of_recordings(self, float(false_alarms), float(shift))
+
+    def plot(self, *, kind: str = "tracks", **kwargs: Any) -> ct.ControlPlot:
+        """Natural frequencies and damping ratios against the recordings, or the control chart of their changes.
+
+        Parameters
+        ----------
+        kind : {'tracks', 'changes'}
+            Modes followed as by `track()`, or the chart of `changes()`.
         **kwargs
-            As for `ModeTracks.plot`.
+            As for `ModeTracks.plot`, or `ControlChart.plot`.
 
         Returns
         -------
         control.ControlPlot
-            As that of `ModeTracks.plot`.
+            As that of `ModeTracks.plot`, or `ControlChart.plot`.
+
+        Raises
+        ------
+        StructureError
+            If there is no such kind, or as `changes`.
 
         Examples
         --------
-        See `ModeTracks`.
+        See `ModeTracks`, and `FitTable.changes`.
         """
+        if _checks.choice("kind", kind, ("tracks", "changes")) == "changes":
+            return self.changes().plot(**kwargs)
         return self.track().plot(**kwargs)
 
     def __str__(self) -> str:
@@ -209,7 +284,8 @@ def table_of(modes: Mapping[int, Modes], complete: bool) -> FitTable:
     }  # fmt: skip
     known = all(recording.time_unit for recording in modes.values() if recording.order > 0)
     table = np.array(rows, dtype=list(kinds.items()))
-    return FitTable(table, tuple(shapes), complete, "Hz" if known else "1/time")
+    every = tuple(modes[place] for place in sorted(modes))
+    return FitTable(table, tuple(shapes), complete, "Hz" if known else "1/time", every)
 
 
 def _cells(row: Any) -> list[str]:

@@ -9,13 +9,14 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from control.iosys import NamedSignal
 
+from ..._frozen import Frozen
 from ..._types import Array, ComplexArray
 from ..._units import hertz_size
 from ..._workers import uninterrupted
@@ -23,6 +24,7 @@ from ...exceptions import FileFormatError, PHControlError, StructureError
 from ...io.codecs import document_of, load
 from ...io.files import write_atomically
 from ...io.measurements import read_measurements
+from ..change.score_test import ChangeTest
 from ..data.data_frames import is_data_frame
 from ..diagnosis.verdict import Outcome
 from ..fit.pem import pem
@@ -59,8 +61,8 @@ def _plain(data: Any) -> Any:
     return type(data)(map(_plain, data)) if type(data) in (tuple, list) else data
 
 
-@dataclass(frozen=True)
-class Modes:
+@dataclass(frozen=True, eq=False)
+class Modes(Frozen):
     """What the table of many fits says of one recording; of a failure the order is -1."""
 
     name: str
@@ -72,6 +74,8 @@ class Modes:
     shapes: ComplexArray = None  # type: ignore[assignment]  # (n, p)
     file: str = ""
     time_unit: str | None = None
+    covariance: Array = None  # type: ignore[assignment]  # (2n, 2n) of frequencies in Hz, then damping ratios
+    score: ChangeTest | str = "no reference was given"
 
     @classmethod
     def of(cls, result: PEMResult, name: str, file: str) -> Modes:
@@ -82,19 +86,40 @@ class Modes:
             result.stderr["damping_ratios"],
         ])  # fmt: skip
         parts = result.order, result.structure, float(result.fit_percent), numbers, np.array(result.shapes), file
-        return cls(name, result.verdict, *parts, result.time_unit)
+        modes = np.arange(result.order)
+        places = np.concatenate([modes, len(result.poles) + modes])
+        units = np.repeat([size, 1.0], result.order)
+        covariance = result.covariance[np.ix_(places, places)] / np.outer(units, units)
+        return cls(name, result.verdict, *parts, result.time_unit, covariance)
 
 
 @dataclass(frozen=True)
 class FitAndKeep:
-    """Fit of one recording with these options; its result is kept in a folder, and taken from there if it is known."""
+    """Fit of one recording with these options; its result is kept in a folder, and taken from there if it is known.
+
+    With a reference, the recording is tested against it as well.
+    """
 
     options: Mapping[str, Any]
     reader: Callable[[Any], Any] | None = None
     store: Path | None = None
+    reference: PEMResult | None = None
 
     def __call__(self, source: OneRecording) -> Modes:
         """Modes of a recording, or the message of what went wrong."""
+        modes = self._fitted(source)
+        return modes if self.reference is None else replace(modes, score=self._score(self.reference, source))
+
+    def _score(self, reference: PEMResult, source: OneRecording) -> ChangeTest | str:
+        """Test of the poles of the reference on a recording, or the message of what went wrong."""
+        try:
+            return reference.changed(self._data(source), parameters="poles", dt=self.options.get("dt"))
+        except PHControlError as error:
+            return str(error)
+        except Exception as error:
+            return f"{type(error).__name__}: {error}"
+
+    def _fitted(self, source: OneRecording) -> Modes:
         path = None
         try:
             path = self._place(source)

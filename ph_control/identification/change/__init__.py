@@ -1,0 +1,1 @@
+"""Change of a plant: modes of two fits compared, and a new record tested against an old fit."""
