@@ -8,13 +8,14 @@ minimised in turn: `x_a = P_a D_a F^{-1} W^T` for given powers, `P_a ~ |x_a|` fo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ..._types import Array, ComplexArray, Indices, Mask
 
-_GAP = 1e-4  # relative distance to the least value at which it ends
+_GAP = 1e-3  # relative distance to the least value at which it ends
 _FIRST, _MOST = 50, 3000  # iterations on all lines, and on those that have kept some power
 _ROUNDS = 20  # of lines that come back
 _LITTLE = 1e-7  # of the power of an input: a line with less is left out, until the bound asks for it
@@ -34,7 +35,7 @@ class Reached:
 
     @property
     def is_least(self) -> bool:
-        """Whether the criterion is at the bound, but for a relative 1e-4."""
+        """Whether the criterion is at the bound, but for a relative 1e-3."""
         return self.value <= (1 + _GAP) * self.bound
 
 
@@ -56,58 +57,69 @@ class SpectrumProblem:
         """The power of each input spread evenly over its lines."""
         return (self.power / np.bincount(self.inputs, minlength=len(self.power)))[self.inputs]
 
-    def information(self, power: Array, lines: Mask | slice = slice(None)) -> Array:
+    def among(self, lines: Mask) -> SpectrumProblem:
+        """The problem on some of the lines."""
+        return replace(self, sensitivities=self.sensitivities[lines], inputs=self.inputs[lines])
+
+    @cached_property
+    def _rows(self) -> Array:
+        """Real and imaginary parts of the sensitivities, shape (2 q A, P), output by output."""
+        by_output = np.moveaxis(self.sensitivities, 1, 0).reshape(-1, self.sensitivities.shape[2])
+        return np.concatenate([by_output.real, by_output.imag])
+
+    def information(self, power: Array) -> Array:
         """Fisher information (P, P)."""
-        D = self.sensitivities[lines] * np.sqrt(self.samples * power[lines])[:, None, None]
-        flat = D.reshape(-1, D.shape[2])
-        return np.asarray(flat.real.T @ flat.real + flat.imag.T @ flat.imag)
+        weight = np.tile(self.samples * power, len(self._rows) // len(power))
+        return np.asarray((self._rows * weight[:, None]).T @ self._rows)
 
     def on_the_way(self, iterations: int) -> Array:
         """Powers (A,) after some iterations from the even ones."""
-        return self._descend(self.even, np.ones(len(self.inputs), bool), iterations)
+        return self._descend(self.even, iterations)
 
     def solved(self) -> Array:
-        """The powers (A,) of the least criterion, within a relative 1e-4."""
+        """The powers (A,) of the least criterion, within a relative 1e-3."""
         power = self.on_the_way(_FIRST)
         for _ in range(_ROUNDS):
             kept = power > _LITTLE * self.power[self.inputs]
-            power = self._descend(self._normal(np.where(kept, power, 0.0), self.inputs), kept, _MOST)
+            few = self.among(kept)
+            reduced, power = few._normal(power[kept]), np.zeros(len(power))
+            power[kept] = few._descend(reduced, _MOST)
             reached = self.judged(power)
             if reached.is_least:
                 break
             power = self._with_missing(power, reached.gain)
         return power
 
-    def judged(self, power: Array, lines: Mask | slice = slice(None)) -> Reached:
+    def judged(self, power: Array) -> Reached:
         """Criterion of powers (A,), and the bound that follows from convexity.
 
         For any other powers `P'`: `criterion(P') >= 2 t J - t^2 sum_a P'_a gain_a` for every t, J being that of these.
         """
-        F = self.information(power, lines)
+        F = self.information(power)
         scale = np.sqrt(np.maximum(np.diag(F), np.finfo(float).tiny))
         inverse = np.linalg.pinv(F / np.outer(scale, scale), rcond=1e-14, hermitian=True)
         X = (inverse @ (self.quantities / scale).T) / scale[:, None]
         value = float(np.sum(self.quantities * X.T))
-        gain = self.samples * np.sum(np.abs(self.sensitivities[lines] @ X) ** 2, axis=(1, 2))
-        inputs, most = self.inputs[lines], np.zeros(len(self.power))
-        np.maximum.at(most, inputs, gain)
-        total = np.bincount(inputs, power[lines], minlength=len(self.power))
+        squares = np.sum((self._rows @ X) ** 2, axis=1)
+        gain = self.samples * squares.reshape(-1, len(power)).sum(axis=0)
+        most = np.zeros(len(self.power))
+        np.maximum.at(most, self.inputs, gain)
+        total = np.bincount(self.inputs, power, minlength=len(self.power))
         return Reached(value, gain, value**2 / float(total @ most))
 
-    def _descend(self, power: Array, lines: Mask, iterations: int) -> Array:
-        """Powers after some iterations on some lines, or at their minimum."""
-        power, inputs = power.copy(), self.inputs[lines]
+    def _descend(self, power: Array, iterations: int) -> Array:
+        """Powers after some iterations, or at their minimum."""
         for _ in range(iterations):
-            reached = self.judged(power, lines)
+            reached = self.judged(power)
             if reached.is_least:
                 break
-            power[lines] = self._normal(power[lines] * np.sqrt(reached.gain), inputs)
+            power = self._normal(power * np.sqrt(reached.gain))
         return power
 
-    def _normal(self, power: Array, inputs: Indices) -> Array:
+    def _normal(self, power: Array) -> Array:
         """Powers scaled to those that the inputs have."""
-        total = np.bincount(inputs, power, minlength=len(self.power))
-        return np.asarray(power * (self.power / np.where(total > 0, total, 1.0))[inputs])
+        total = np.bincount(self.inputs, power, minlength=len(self.power))
+        return np.asarray(power * (self.power / np.where(total > 0, total, 1.0))[self.inputs])
 
     def _with_missing(self, power: Array, gain: Array) -> Array:
         """Powers with a little on lines that would lower the criterion more than those that have some."""
@@ -117,4 +129,4 @@ class SpectrumProblem:
             least = float(power[mine] @ gain[mine]) / size
             missing = mine & (gain > least) & (power <= _LITTLE * size)
             power[missing] += _BACK * size / max(1, int(missing.sum()))
-        return self._normal(power, self.inputs)
+        return self._normal(power)

@@ -67,18 +67,24 @@ class RecordSensitivities:
         """Sensitivities of some outputs in units of their noise, free motions eliminated, in a few rows."""
         unknowns = self._plant.unknowns
         own = 0 if self._rest else self._motion.shape[1]
-        width = len(unknowns.names) + own * len(outputs)
-        _refuse_size(self._u.shape[1] * len(outputs) * width)
+        # residues of other outputs do nothing here
+        near = np.any(unknowns.by_poles, axis=0) | np.any(unknowns.by_shared[outputs], axis=(0, 1))
+        width = int(near.sum()) + own * len(outputs)
+        refuse_size(self._u.shape[1] * len(outputs) * width)
         J = np.zeros((self._u.shape[1], len(outputs), width))
         for k, o in enumerate(outputs.tolist()):
             if own:
                 J[:, k, k * own : (k + 1) * own] = self._motion
             amplitudes = np.concatenate([self._free_motion[:, o].real, self._free_motion[:, o].imag])
             slopes = by_poles(self._slopes, self._rows, amplitudes, self._plant.residues[:, o])
-            J[:, k, len(outputs) * own :] = slopes @ unknowns.by_poles + self._shared @ unknowns.by_shared[o]
+            J[:, k, len(outputs) * own :] = slopes @ unknowns.by_poles[:, near]
+            J[:, k, len(outputs) * own :] += self._shared @ unknowns.by_shared[o][:, near]
         _checks.representable("the sensitivities of the outputs", J)
         factor = reduced(np.asfortranarray(self._in_units_of(noise, J, outputs, observed)))
-        return eliminate(factor, own * len(outputs), self._u.shape[1]).below
+        below = eliminate(factor, own * len(outputs), self._u.shape[1]).below
+        sensitivities = np.zeros((len(below), len(near)))
+        sensitivities[:, near] = below
+        return sensitivities
 
     def _in_units_of(self, noise: NoiseModel, J: Array, outputs: Indices, observed: Mask) -> Array:
         """Rows (T, q, r) in which the noise is white and of unit size, one under another."""
@@ -120,11 +126,13 @@ class RecordSensitivities:
         return motion, squares, spare
 
 
-def _refuse_size(numbers: int) -> None:
+def refuse_size(numbers: int) -> None:
+    """Refuse sensitivities of so many real numbers."""
     if numbers > _MOST_NUMBERS:
         raise StructureError(
-            f"the sensitivities of the outputs are {numbers:.3g} numbers; allowed are {_MOST_NUMBERS:.3g}: judge a "
-            "shorter record or fewer outputs, or give the standard deviation of noise that is white and independent"
+            f"the sensitivities of the outputs are {numbers:.3g} numbers; allowed are {_MOST_NUMBERS:.3g}: take a "
+            "shorter record, a narrower band, or a system of the few outputs that see the modes best; of noise that is "
+            "white and independent give noise_std"
         )
 
 
@@ -151,6 +159,7 @@ def line_sensitivities(plant: PlannedPlant, omega: Array, hold: Hold, noise: Noi
     A line of mean power `P` of a record of T samples adds `T P Re(D^H D)` to the information.
     """
     unknowns, (q, m) = plant.unknowns, plant.feedthrough.shape
+    refuse_size(2 * len(omega) * q * m * len(unknowns.names))
     z = np.exp(1j * hold.h * omega)[:, None]
     near, far = (_gains(SampledModes.of(hold, p), z) for p in (plant.p, plant.p.conj()))
     D = np.empty((len(omega), m, q, len(unknowns.names)), complex)
