@@ -169,7 +169,7 @@ class ModelFunction:
         if self.outputs and (shape[0] != self.outputs or (self.inputs and shape[1] != self.inputs)):
             raise StructureError(
                 f"the model function returns a system of {shape[1]} inputs and {shape[0]} outputs; the data have "
-                f"{self.inputs} inputs and {self.outputs} outputs: return those that were measured, sys[outputs, inputs]"
+                f"{self.inputs} inputs and {self.outputs} outputs: return those measured, sys[outputs, inputs]"
             )
         if not self.inputs:
             return PhysicalModes(modes.poles, modes.shapes, modes.participation[:, :0], modes.feedthrough[:, :0])
