@@ -63,7 +63,7 @@ ANSWERS = (
     "ModalSamples", "MorphismCheck", "Netlist", "OrderSelection", "PEMResult", "PassivityReport", "ResidualAnalysis",
     "ScaledCoefficients", "StructuralModes", "Symmetry", "Verdict", "UniversalModes", "FitTable", "ModeTracks",
     "OptimalDamping", "RecordingFitted", "ResponseBackground", "Stabilisation", "BaseMotion", "InputDesign",
-    "PlantExcitation",
+    "PlantExcitation", "FittedParameters", "ModelUpdate", "NetlistFunction",
 )  # fmt: skip
 
 # share of the calls, next to 1 for what takes less than a millisecond or so
@@ -80,12 +80,13 @@ COMMAND = 0.05
 # where infinity, or NaN, is an answer: at poles, for margins that no loop has, for samples that are missing
 INFINITE = re.compile(
     r"horner|evaluate|freqresp|__call__|margin|frequency_response|Symmetry|Verdict|is_even|is_odd|passivity|"
-    r"[Oo]ptimal.?[Dd]amping"
+    r"[Oo]ptimal.?[Dd]amping|update_model|ModelUpdate|FittedParameters"
 )
 UNKNOWN = re.compile(
     r"margin|[Ee]xcitation|read_|load|FittedExperiment|FittedChannels|Result|[Cc]ompar|[Rr]esidual.?[Aa]nalysis|"
     r"pem|prediction_error_fit|gradient_descent|order_selection|OrderSelection|[Ss]tabilisation|fit_many|FitTable|ModeTracks|"
-    r"[Bb]ase.?[Mm]otion|InputDesign|design_input"
+    r"[Bb]ase.?[Mm]otion|InputDesign|design_input|"
+    r"update_model|ModelUpdate|FittedParameters"
 )
 
 REFUSALS = re.compile(

@@ -128,6 +128,11 @@ class Draw:
         return pick(self.rng, pool("data"))
 
 
+def _oscillators(theta: Any) -> Any:
+    """Two modes by a frequency and a damping ratio."""
+    return phc.ph(phc.modes(theta[0] * np.array([1.0, 2.5]), [1.0, 0.5], damping=theta[-1]))
+
+
 def _label(draw: Draw) -> Any:
     return pick(draw.rng, ["a plant", None, ["one"], ["one", "two"]])
 
@@ -292,6 +297,13 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "initial_guess": lambda draw: pick(draw.rng, [None, ([1.0], [1.0]), *pool("modes")[:2]]),
     "gradient_descent.initial_guess": _choice(None),
     "weights": lambda draw: pick(draw.rng, [None, np.ones(30)]), "noise_std": _choice(None, 0.1),
+    "update_model.f": lambda draw: _oscillators, "update_model.theta0": _choice([1.0, 0.02], {"d": 1.2, "zeta": 0.01}),
+    "update_model.result": _of("PEMResult"), "update_model.prior": _choice(None, 0.5, [1.0, 0.01]),
+    "update_model.outputs": _choice(None, [0]), "update_model.modes": _choice(None, [0]),
+    "update_model.quantities": _choice(None, ["natural_frequencies"], ["natural_frequencies", "shapes"]),
+    "update_model.bounds": _choice(None, (0.0, np.inf)), "pem.bounds": _choice(None, None, (0.0, np.inf)),
+    "pem.model": lambda draw: pick(draw.rng, [None, None, None, _oscillators]),
+    "pem.parameters": _choice(None, None, None, [1.0, 0.02]), "read_netlist.parameters": _choice(None, None, ["R1"]),
     "criterion": _choice("bic", "aic", "aicc"), "pem.criterion": _choice("bic", "aic", "aicc", "holdout"),
     "max_order": _integers(1, 2), "workers": lambda draw: pick(draw.rng, [1, map, lambda f, xs: [f(x) for x in xs]]),
     "callback": lambda draw: pick(draw.rng, [None, lambda progress: None, _stop]),
@@ -547,6 +559,9 @@ _POOLS |= {
     "ModeTracks": lambda: [pool("FitTable")[0].track()],
     "OptimalDamping": lambda: [phc.optimal_damping(phc.spring_chain([1.0, 1.0], ground=1.0))],
     "RecordingFitted": lambda: [phc.RecordingFitted(1, 0, 2, "first", "consistent with the record")],
+    "ModelUpdate": lambda: [phc.update_model(_oscillators, [1.0, 0.02], pool("PEMResult")[0])],
+    "FittedParameters": lambda: [pool("ModelUpdate")[0].fitted_parameters],
+    "NetlistFunction": lambda: [phc.read_netlist("V1 1 0\nR1 1 2 5\nL1 2 3 1\nC1 3 0 1\n", parameters=["R1", "C1"])],
     "Stabilisation": lambda: [pool("PEMResult")[0].stabilisation(1)],
     "UniversalModes": lambda: _written_modes(),
     "Excitation": lambda: [phc.excitation((u, None), 2, dt=0.1) for u in (np.sin(np.arange(80.0)), _record(1)[1])],

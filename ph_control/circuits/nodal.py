@@ -174,7 +174,8 @@ class NetlistFunction(Frozen):
 
 def _opened(elements: Sequence[Element], parameters: Any, labels: dict[str, Any]) -> NetlistFunction:
     """A circuit with the values of some elements left open."""
-    if isinstance(parameters, str) or not all(isinstance(name, str) for name in parameters):
+    named = isinstance(parameters, list | tuple) and all(isinstance(name, str) for name in parameters)
+    if not named:
         raise StructureError(f"parameters are {_checks.shown(parameters)}; they must be names of elements, ['R1', ..]")
     known = {element.name.upper(): k for k, element in enumerate(elements) if element.letter in _VALUED}
     wanted = [name.upper() for name in parameters]

@@ -23,6 +23,7 @@ from ...exceptions import StructureError
 from ...modal.general_form import from_matrices
 
 _APART = 1e-4  # of the slowest rate that data show: by its square responses change
+_LARGEST = 1e100  # squares and products stay numbers
 _CONDITION = 1e12  # of eigenvectors of poles that were moved apart
 
 
@@ -104,14 +105,21 @@ def modes_of_system(sys: Any, slowest: float) -> PhysicalModes:
     if not len(A):
         none = np.zeros(0, complex)
         return PhysicalModes(none, np.zeros((0, len(C)), complex), np.zeros((0, B.shape[1]), complex), D)
-    form = from_matrices(A, B, C, D)
-    poles, participation, seen = form.equations
-    shapes = seen.T / np.where(poles.imag == 0, 1.0, 2.0)[:, None]
-    parts = [(poles, shapes, participation)]
-    parts += [_moved_apart(block, slowest) for block in form.clusters]
-    poles, shapes, participation = (np.concatenate(each) for each in zip(*parts, strict=True))
-    order = np.lexsort((np.abs(poles), poles.imag == 0))
-    return PhysicalModes(poles[order], shapes[order], participation[order], D)
+    with np.errstate(all="ignore"):
+        form = from_matrices(A, B, C, D)
+        poles, participation, seen = form.equations
+        shapes = seen.T / np.where(poles.imag == 0, 1.0, 2.0)[:, None]
+        parts = [(poles, shapes, participation)]
+        parts += [_moved_apart(block, slowest) for block in form.clusters]
+        poles, shapes, participation = (np.concatenate(each) for each in zip(*parts, strict=True))
+        order = np.lexsort((np.abs(poles), poles.imag == 0))
+        modes = PhysicalModes(poles[order], shapes[order], participation[order], D)
+        sizes = np.concatenate([np.abs(poles), np.abs(modes.residues).ravel()])
+    if not np.all(sizes < _LARGEST):
+        raise StructureError(
+            f"the system has poles or residues of {sizes.max():.3g}; let those of the data be of another unit"
+        )
+    return modes
 
 
 def _as_state_space(sys: Any) -> ct.StateSpace:

@@ -222,7 +222,8 @@ def update_model(
         spread = np.broadcast_to(_checks.real_array("prior", prior), function.start.shape)
         if not np.all(spread > 0):
             raise StructureError(f"prior has {spread.min():.6g}; standard deviations must be positive")
-    return _updated(function, target, spread)
+    with np.errstate(all="ignore"):  # on the way parameters may be of any size
+        return _updated(function, target, spread)
 
 
 @dataclass(frozen=True)
@@ -256,9 +257,16 @@ class _FittedTarget:
         function.inputs = m if alike else 0
         computed = function.modes(function.start)
         lossy = bool(np.any(computed.damping[~computed.real] > _DAMPED))
-        chosen = tuple(quantities) if quantities is not None else (
-            "natural_frequencies", *["damping_ratios"] * lossy, "residues" if alike and lossy and m else "shapes"
-        )  # fmt: skip
+        default = [
+            "natural_frequencies",
+            *["damping_ratios"] * lossy,
+            "residues" if alike and lossy and m else "shapes",
+        ]
+        chosen = default if quantities is None else quantities
+        if not isinstance(chosen, list | tuple) or not chosen:
+            raise StructureError(
+                f"quantities are {_checks.shown(quantities)}; pass a list of some of {', '.join(QUANTITIES)}"
+            )
         for name in chosen:
             _checks.choice("quantities", name, QUANTITIES)
         if "residues" in chosen and not (alike and m):
@@ -270,7 +278,7 @@ class _FittedTarget:
         ]).astype(int)  # fmt: skip
         return cls(
             result.poles[some], result.shapes[some], result.residues[some], result.covariance[np.ix_(places, places)],
-            result.shape_stderr[some], chosen, measured, result.time_unit,
+            result.shape_stderr[some], tuple(chosen), measured, result.time_unit,
         )  # fmt: skip
 
     def places(self, model: PhysicalModes) -> tuple[Indices, Array]:
@@ -385,7 +393,7 @@ def _measured_outputs(plant: Any, result: Any, outputs: Any) -> Indices:
     """Places of the outputs of a fit among those of a model."""
     count, labels = len(result.output_labels), list(getattr(plant, "output_labels", []))
     if outputs is not None:
-        if all(isinstance(each, str) for each in outputs):
+        if isinstance(outputs, list | tuple) and all(isinstance(each, str) for each in outputs):
             outputs = [_checks.signal_number("output", each, labels) for each in outputs]
         places = _places("outputs", outputs, len(labels))
     elif len(labels) == count:
