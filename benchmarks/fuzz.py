@@ -62,7 +62,8 @@ ANSWERS = (
     "ExpressivePower", "FittedChannels", "FittedExperiment", "GradientResult", "KalmanDecomposition",
     "ModalSamples", "MorphismCheck", "Netlist", "OrderSelection", "PEMResult", "PassivityReport", "ResidualAnalysis",
     "ScaledCoefficients", "StructuralModes", "Symmetry", "Verdict", "UniversalModes", "FitTable", "ModeTracks",
-    "OptimalDamping", "RecordingFitted", "ResponseBackground", "Stabilisation",
+    "OptimalDamping", "RecordingFitted", "ResponseBackground", "Stabilisation", "ModeComparison", "ChangeTest",
+    "ControlChart",
 )  # fmt: skip
 
 # share of the calls, next to 1 for what takes less than a millisecond or so
@@ -83,7 +84,8 @@ INFINITE = re.compile(
 )
 UNKNOWN = re.compile(
     r"margin|[Ee]xcitation|read_|load|FittedExperiment|FittedChannels|Result|[Cc]ompar|[Rr]esidual.?[Aa]nalysis|"
-    r"pem|prediction_error_fit|gradient_descent|order_selection|OrderSelection|[Ss]tabilisation|fit_many|FitTable|ModeTracks"
+    r"pem|prediction_error_fit|gradient_descent|order_selection|OrderSelection|[Ss]tabilisation|fit_many|FitTable|ModeTracks|"
+    r"PEMResult.changed|ModeComparison|ChangeTest|ControlChart"
 )
 
 REFUSALS = re.compile(
