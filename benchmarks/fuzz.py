@@ -64,6 +64,7 @@ ANSWERS = (
     "ScaledCoefficients", "StructuralModes", "Symmetry", "Verdict", "UniversalModes", "FitTable", "ModeTracks",
     "OptimalDamping", "RecordingFitted", "ResponseBackground", "Stabilisation", "BaseMotion", "InputDesign",
     "PlantExcitation", "FittedParameters", "ModelUpdate", "NetlistFunction",
+    "ModeComparison", "ChangeTest", "ControlChart",
 )  # fmt: skip
 
 # share of the calls, next to 1 for what takes less than a millisecond or so
@@ -86,7 +87,8 @@ UNKNOWN = re.compile(
     r"margin|[Ee]xcitation|read_|load|FittedExperiment|FittedChannels|Result|[Cc]ompar|[Rr]esidual.?[Aa]nalysis|"
     r"pem|prediction_error_fit|gradient_descent|order_selection|OrderSelection|[Ss]tabilisation|fit_many|FitTable|ModeTracks|"
     r"[Bb]ase.?[Mm]otion|InputDesign|design_input|"
-    r"update_model|ModelUpdate|FittedParameters"
+    r"update_model|ModelUpdate|FittedParameters|"
+    r"PEMResult.changed|ModeComparison|ChangeTest|ControlChart"
 )
 
 REFUSALS = re.compile(

@@ -333,6 +333,9 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "stabilisation_plot.orders": _choice(None), "chosen": _choice(None, 1), "stabilisation_plot.data": _of("response"),
     "frequency_tolerance": _choice(0.01, 0.1), "damping_tolerance": _choice(0.05), "least_mac": _choice(0.9, 1.0),
     "tests": _of("PEMResult"),
+    "PEMResult.compare.other": _of("PEMResult"), "PEMResult.changed.parameters": _choice("all", "poles"),
+    "fit_many.reference": lambda draw: pick(draw.rng, [None, *pool("PEMResult")]),
+    "false_alarms": _choice(0.001, 0.05), "shift": _choice(0.5, 1.0, 3.0),
     "position_label": _choice(None, "Place"), "position_unit": _choice(None, "m"), "shape_unit": _choice(None, "1/kg"),
     "omega_limits": _choice(None, [0.1, 10.0]), "omega_num": _integers(20, 50),
     **{name: _choice(False, True) for name in (
@@ -557,6 +560,11 @@ _POOLS |= {
     "Bootstrap": lambda: [pool("PEMResult")[0].bootstrap(3)],
     "FitTable": lambda: [phc.fit_many([_record(1)[1:], (None, None)], dt=0.1)],
     "ModeTracks": lambda: [pool("FitTable")[0].track()],
+    "ModeComparison": lambda: [pool("PEMResult")[0].compare(pool("PEMResult")[0])],
+    "ChangeTest": lambda: [pool("PEMResult")[0].changed(_record(5)[1:], dt=0.1)],
+    "ControlChart": lambda: [
+        phc.fit_many([_record(1)[1:], (None, None)], dt=0.1, reference=pool("PEMResult")[0]).changes()
+    ],
     "OptimalDamping": lambda: [phc.optimal_damping(phc.spring_chain([1.0, 1.0], ground=1.0))],
     "RecordingFitted": lambda: [phc.RecordingFitted(1, 0, 2, "first", "consistent with the record")],
     "ModelUpdate": lambda: [phc.update_model(_oscillators, [1.0, 0.02], pool("PEMResult")[0])],

@@ -211,6 +211,17 @@ def test_a_decay_has_its_own_amplitudes():
     assert test.modes.tolist() == [1] and test.dof == 4
 
 
+def test_a_delay_that_was_estimated_is_that_of_the_new_record():
+    def late(seed, d):
+        u, y = record(seed, d=d, samples=603)
+        return u[3:], y[:-3]
+
+    result = phc.pem(late(0, D), 2, dt=STEP, quantity="free")
+    assert result.delay[0] == pytest.approx(3 * STEP, abs=0.1)
+    assert result.changed(late(1, D)).p > 0.01
+    assert result.changed(late(2, [0.99, 2.0])).modes.tolist() == [0]
+
+
 def test_real_poles_are_tested_too():
     def motor(seed, rate):
         return record(seed, plant=ct.tf([1.0], [1.0, rate]), noise=0.3)
@@ -240,6 +251,7 @@ def test_what_cannot_be_tested_is_refused_with_the_reason():
         ((None, y), "0 inputs"),
         ((u, None), "no outputs"),
         ((u[:15], y[:15]), "15 observed samples"),
+        ((0 * u, 0 * y), "none of the parameters"),
         (ct.frd([1.0, 2.0], [1.0, 2.0]), "1 experiments; pass one time record"),
     ):
         with pytest.raises(StructureError, match=reason):

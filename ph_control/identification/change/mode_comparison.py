@@ -175,7 +175,7 @@ def compared_modes(
 ) -> ModeComparison:
     """Pair modes and real poles of two results, and hold their shifts against their errors."""
     for name, value in (("frequency_tolerance", frequency_tolerance), ("least_mac", least_mac)):
-        if isinstance(value, bool) or not (isinstance(value, int | float | np.number) and 0 < value < 1):
+        if isinstance(value, bool) or not (isinstance(value, int | float | np.integer | np.floating) and 0 < value < 1):
             raise StructureError(f"{name} is {_checks.shown(value)}; expected a number between 0 and 1")
     level = _checks.level("level", level)
     unit = common_unit(before, after)

@@ -27,6 +27,7 @@ TESTED = ("all", "poles")
 
 _SHOWN = 1e-9  # of the largest information: a direction with less leaves no trace in the new record
 _CORRELATED = 1e-11  # of the largest eigenvalue of a correlation matrix: less is rounding of a constraint
+_BLIND = 1e-11  # of the squares of unit derivatives: what other unknowns do as well
 _SPARE = 10  # samples beyond the unknowns, at least
 
 
@@ -181,6 +182,11 @@ def score_test(result: Any, data: Any, parameters: str, level: float, dt: float 
     covariance, rest = noise_of(result, sensitivities)[:2]
     normal, gradient = sensitivities.products(np.asarray(np.linalg.inv(covariance)))
     normal, gradient = _without_others(normal, gradient, sensitivities.places, tested)
+    if not normal.any():
+        raise StructureError(
+            "the record shows none of the parameters of the fit, as where no input varies: there is nothing to test; "
+            "record while something moves the plant"
+        )
     score, information = directions.T @ gradient, directions.T @ normal @ directions
     return _judged(result, record, parameters, level, _Score(score, information, directions, tested), rest, covariance)
 
@@ -241,8 +247,13 @@ def _without_others(normal: Array, gradient: Array, places: Indices, tested: Ind
     mixed, inner = normal[np.ix_(first, others)], normal[np.ix_(others, others)]
     solved = mixed @ np.linalg.pinv(inner, rcond=len(others) * EPS * 100, hermitian=True) if len(others) else mixed
     information = normal[np.ix_(first, first)] - solved @ mixed.T
+    # what the other unknowns do as well is rounding of the difference
+    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
+    kept = vectors[:, values > _BLIND]
+    information = kept * values[values > _BLIND] @ kept.T
+    score = kept @ (kept.T @ (gradient[first] - solved @ gradient[others]))
     own = sizes[first]
-    return information * np.outer(own, own), (gradient[first] - solved @ gradient[others]) * own
+    return information * np.outer(own, own), score * own
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ from ..regression.free_prediction import predicted_outputs, unknown_samples
 
 _STEP = 1e-5  # of a pole over its size, and of a delay over the sampling step, in central differences
 _MOST = 300_000_000  # numbers in the derivatives
+_SINGULAR = 1e-9  # of the largest singular value of free motions: less is rounding
 _ROUNDING = 1e-9  # of the size of an output, below which its errors are no noise
 
 
@@ -124,7 +125,7 @@ def noise_of(result: Any, sensitivities: Sensitivities) -> tuple[Array, Array, A
     if not mixes_outputs(noise):
         covariance = np.diag(np.diag(covariance))
     least = sensitivities.floor**2
-    least = np.where(least > 0, least, max(float(least.max()), np.finfo(float).tiny))
+    least = np.where(least > 0, least, float(least.max()) or 1.0)
     covariance = covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0))
     return covariance, rest, unknowns
 
@@ -179,7 +180,10 @@ class RecordDerivatives:
         """Errors of the simulation; free motion, constant and delay are those of the new record."""
         self.refuse_large(1)
         places, own = self.of_outputs()
-        amplitudes, errors = self._moving(own[np.all(places < 0, axis=1)], self.simulation_errors)
+        motion = own[np.all(places < 0, axis=1)]
+        # a delay is no motion, though it may look like one
+        late = int(np.any(self.result.delay_stderr > 0))
+        amplitudes, errors = self._moving(motion[: len(motion) - late], self.simulation_errors)
         return self._whitened(errors, self.of_poles(amplitudes), own, places)
 
     @cached_property
@@ -253,7 +257,7 @@ class RecordDerivatives:
             rows = columns[:, o].T
             sizes = np.linalg.norm(rows[seen], axis=0)
             rows = rows / np.where(sizes > 0, sizes, 1.0)
-            x = np.linalg.lstsq(rows[seen], errors[o, seen], rcond=None)[0]
+            x = np.linalg.lstsq(rows[seen], errors[o, seen], rcond=_SINGULAR)[0]
             rest[o] = errors[o] - rows @ x
             amplitudes[:, o] = self.amplitudes(x / np.where(sizes > 0, sizes, 1.0))
         return amplitudes, rest

@@ -206,7 +206,9 @@ class FitTable(Report, Frozen):
         (array([5, 6, 7]), 5, 0.001)
         """
         for name, value, most in (("false_alarms", false_alarms, 0.1), ("shift", shift, 100.0)):
-            if isinstance(value, bool) or not (isinstance(value, int | float | np.number) and 0 < value <= most):
+            if isinstance(value, bool) or not (
+                isinstance(value, int | float | np.integer | np.floating) and 0 < value <= most
+            ):
                 raise StructureError(f"{name} is {_checks.shown(value)}; expected a number above 0, up to {most:g}")
         return chart_of_recordings(self, float(false_alarms), float(shift))
 
