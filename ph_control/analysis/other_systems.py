@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import control as ct
@@ -18,6 +19,7 @@ from ..modal.modal_form import ModalForm
 from ..systems.base import LosslessSystem, inherited_names
 from ..systems.port_hamiltonian import ph
 
+MOST_INSTANTS = 10**9  # 8 GB of them
 # of scipy: what is integrated, and what inputs do in between
 _RULES = {("exact", "zoh"): "zoh", ("exact", "foh"): "foh", ("midpoint", "foh"): "bilinear", ("euler", "zoh"): "euler"}
 
@@ -28,8 +30,13 @@ def as_system(sys: Any) -> Any:
         return sys.state_space()
     if isinstance(sys, ModalForm):
         return ph(sys)
-    if isinstance(sys, LosslessSystem | ct.StateSpace | ct.TransferFunction):
+    if isinstance(sys, LosslessSystem | ct.StateSpace):
         return sys
+    if isinstance(sys, ct.TransferFunction):
+        try:
+            return ct.ss(sys, name=sys.name)
+        except Exception as error:
+            raise StructureError(f"the transfer function has no state space ({error}); give a proper one") from None
     raise StructureError(
         f"this is a {type(sys).__name__}; give a system of this package, or a StateSpace or TransferFunction"
     )
@@ -47,8 +54,26 @@ def instants_of(systems: Sequence[Any], timepts: Any, samples: int | None) -> Ar
     """Instants that python-control chooses for systems, the longest of these; or those that are given."""
     if timepts is not None and np.ndim(timepts) > 0:
         return _checks.real_array("the time vector", timepts, 1)
-    times = [np.asarray(ct.step_response(sys, timepts, timepts_num=samples).time, float) for sys in systems]
+    end = None if timepts is None else _checks.sampling_step(timepts, name="the last instant")
+    if samples is not None:
+        _checks.whole_number("timepts_num", samples, 2, MOST_INSTANTS)
+    times = [np.asarray(responding(ct.step_response, sys, end, timepts_num=samples).time, float) for sys in systems]
     return max(times, key=lambda t: float(t[-1]))
+
+
+def responding(response: Callable[..., Any], sys: Any, t: Any, *values: Any, **options: Any) -> Any:
+    """A response by python-control, of finite numbers."""
+    if np.ndim(t):
+        _checks.time_step(t)
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        try:
+            answer = response(sys, t, *values, **options)
+        except (ValueError, TypeError, NotImplementedError, np.linalg.LinAlgError) as error:
+            raise StructureError(f"python-control cannot simulate this system ({error})") from None
+    if not np.isfinite(answer.y).all():
+        raise StructureError("the response exceeds the range of doubles: scale the input, or end earlier")
+    return answer
 
 
 def held(sys: Any, t: Array, intersample: str) -> Any:

@@ -19,11 +19,9 @@ from ..exceptions import StructureError
 from ..modal.discretization import INTERSAMPLE, METHODS, Hold
 from ..modal.modal_form import imaginary
 from ..systems.base import LosslessSystem, in_normal_form
-from .other_systems import as_system, check_exact, held, instants_of
+from .other_systems import MOST_INSTANTS, as_system, check_exact, held, instants_of, responding
 from .time_grid import default_time_vector
 from .trajectories import check_finite, trajectory
-
-_MOST = 10**9  # instants, 8 GB of them
 
 _ALIASES = {
     "T": "timepts", "U": "inputs", "X0": "initial_state", "return_x": "return_states", "T_num": "timepts_num",
@@ -136,9 +134,10 @@ def forced_response(
 
     def of_other(sys: Any, t: Array) -> TimeResponseData:
         u = _input_signal(inputs, sys.ninputs, t.size, transpose)
-        return ct.forced_response(
-            held(sys, t, intersample), t, u.T if transpose else u, initial_state, transpose=transpose,
-            return_states=return_states, squeeze=squeeze,
+        return responding(
+            ct.forced_response, held(sys, t, intersample), t, u.T if transpose else u,
+            _initial_state(initial_state, sys.nstates), transpose=transpose, return_states=return_states,
+            squeeze=squeeze,
         )  # fmt: skip
 
     return _each(sysdata, run, of_other, method, timepts, None)
@@ -213,9 +212,10 @@ def step_response(
         return _traces(sys, t, one, "Step", shown, method, intersample, transpose, squeeze, return_states)
 
     def of_other(sys: Any, t: Array) -> TimeResponseData:
-        return ct.step_response(
-            sys, t, initial_state, input_indices, output_indices, transpose=transpose, return_states=return_states,
-            squeeze=squeeze,
+        picked = _chosen("input", input_indices, sys.ninputs), _chosen("output", output_indices, sys.noutputs)
+        return responding(
+            ct.step_response, sys, t, _initial_state(initial_state, sys.nstates), *picked, transpose=transpose,
+            return_states=return_states, squeeze=squeeze,
         )  # fmt: skip
 
     return _each(sysdata, run, of_other, method, timepts, timepts_num)
@@ -272,8 +272,9 @@ def impulse_response(
         return _traces(sys, t, one, "Impulse", shown, method, "zoh", transpose, squeeze, return_states)
 
     def of_other(sys: Any, t: Array) -> TimeResponseData:
-        return ct.impulse_response(
-            sys, t, input_indices, output_indices, transpose=transpose, return_states=return_states, squeeze=squeeze
+        picked = _chosen("input", input_indices, sys.ninputs), _chosen("output", output_indices, sys.noutputs)
+        return responding(
+            ct.impulse_response, sys, t, *picked, transpose=transpose, return_states=return_states, squeeze=squeeze
         )
 
     return _each(sysdata, run, of_other, method, timepts, timepts_num)
@@ -333,9 +334,10 @@ def initial_response(
         )  # fmt: skip
 
     def of_other(sys: Any, t: Array) -> TimeResponseData:
-        return ct.initial_response(
-            ct.ss(sys), t, initial_state, output_indices, transpose=transpose, return_states=return_states,
-            squeeze=squeeze,
+        picked = _chosen("output", output_indices, sys.noutputs)
+        return responding(
+            ct.initial_response, sys, t, _initial_state(initial_state, sys.nstates), picked, transpose=transpose,
+            return_states=return_states, squeeze=squeeze,
         )  # fmt: skip
 
     return _each(sysdata, run, of_other, method, timepts, timepts_num)
@@ -373,7 +375,7 @@ def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) 
         return _checks.real_array("the time vector", timepts, 1)
     tfinal = None if timepts is None else _checks.sampling_step(timepts, name="the last instant")
     if samples is not None:
-        _checks.whole_number("timepts_num", samples, 2, _MOST)
+        _checks.whole_number("timepts_num", samples, 2, MOST_INSTANTS)
     visible = [_visible(sys) for sys in systems]
     return default_time_vector(np.concatenate(visible), tfinal, samples)
 
@@ -407,6 +409,12 @@ def _selected(kind: str, index: Any, count: int) -> tuple[slice, bool]:
     if not (isinstance(chosen, int | np.integer) and 0 <= chosen < count):
         raise StructureError(f"{kind}_indices is {index!r}; it must be one number from 0 to {count - 1}")
     return slice(int(chosen), int(chosen) + 1), True
+
+
+def _chosen(kind: str, index: Any, count: int) -> int | None:
+    """The number of an input or output to show; None for all."""
+    picked, single = _selected(kind, index, count)
+    return picked.start if single else None
 
 
 def _input_signal(inputs: Any, ports: int, samples: int, transpose: bool) -> Array:
