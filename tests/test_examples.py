@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from scripts import ROOT, run
+from scripts import ROOT, run, run_script
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
@@ -30,7 +30,7 @@ def test_there_are_examples():
 @pytest.mark.parametrize("script", EXAMPLES, ids=lambda script: script.stem)
 def test_an_example_runs_in_an_empty_folder(script, tmp_path):
     """It writes the pictures that it names into the folder it runs in."""
-    done = run(tmp_path, str(script))
+    done = run_script(tmp_path, script)
     assert done.returncode == 0, done.stderr
     assert named(script) == {path.name for path in tmp_path.rglob("*.png")}
 
@@ -59,3 +59,20 @@ def test_every_picture_of_the_documentation_is_made_by_an_example():
 )
 def test_scripts_run_with_the_package_and_without_a_display_and_no_warning_passes(tmp_path, source, works):
     assert (run(tmp_path, "-c", source).returncode == 0) == works
+
+
+@pytest.mark.parametrize(
+    "source, works",
+    [
+        ("import warnings; warnings.warn('look')", False),
+        ("assert __name__ == '__main__'; import matplotlib; assert matplotlib.get_backend().lower() == 'agg'", True),
+        ("import sys; sys.exit(3)", False),
+        ("raise ValueError('no')", False),
+    ],
+)
+def test_a_script_runs_as_the_main_program_and_no_warning_passes(tmp_path, source, works):
+    script = tmp_path / "script.py"
+    script.write_text(source)
+    done = run_script(tmp_path, script)
+    assert (done.returncode == 0) == works
+    assert ("look" in done.stderr) == ("look" in source) and ("ValueError: no" in done.stderr) == ("raise" in source)
