@@ -20,6 +20,8 @@ from ..systems.base import LosslessSystem, inherited_names
 from ..systems.port_hamiltonian import ph
 
 MOST_INSTANTS = 10**9  # 8 GB of them
+# by python-control, or slycot; its ControlMIMONotImplemented is one of the third
+_REFUSED = ValueError, TypeError, NotImplementedError, ArithmeticError, np.linalg.LinAlgError
 # of scipy: what is integrated, and what inputs do in between
 _RULES = {("exact", "zoh"): "zoh", ("exact", "foh"): "foh", ("midpoint", "foh"): "bilinear", ("euler", "zoh"): "euler"}
 
@@ -35,7 +37,7 @@ def as_system(sys: Any) -> Any:
     if isinstance(sys, ct.TransferFunction):
         try:
             return ct.ss(sys, name=sys.name)
-        except Exception as error:
+        except _REFUSED as error:
             raise StructureError(f"the transfer function has no state space ({error}); give a proper one") from None
     raise StructureError(
         f"this is a {type(sys).__name__}; give a system of this package, or a StateSpace or TransferFunction"
@@ -69,7 +71,7 @@ def responding(response: Callable[..., Any], sys: Any, t: Any, *values: Any, **o
         warnings.simplefilter("ignore", RuntimeWarning)
         try:
             answer = response(sys, t, *values, **options)
-        except (ValueError, TypeError, NotImplementedError, np.linalg.LinAlgError) as error:
+        except _REFUSED as error:
             raise StructureError(f"python-control cannot simulate this system ({error})") from None
     if not np.isfinite(answer.y).all():
         raise StructureError("the response exceeds the range of doubles: scale the input, or end earlier")

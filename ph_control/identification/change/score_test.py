@@ -12,7 +12,7 @@ from ... import _checks
 from ..._checks import EPS
 from ..._display import Report, aligned, p_value, to_its_error
 from ..._frozen import Frozen
-from ..._types import Array, Indices, Mask
+from ..._types import Array, Indices
 from ..._units import common_unit, hertz_size, rate
 from ...exceptions import StructureError
 from ..data.channels import Recording
@@ -20,13 +20,12 @@ from ..data.experiments import one_recording
 from ..regression.tuning import TUNING
 from ..uncertainty.residual_tests import ljung_box
 from .multiple_tests import holm, two_sided
+from .score import CORRELATED, Score, known_parameters, root_of_covariance
 from .sensitivities import Sensitivities, noise_of
 from .unmeasured_forces import sensitivities_of
 
 TESTED = ("all", "poles")
 
-_SHOWN = 1e-9  # of the largest information: a direction with less leaves no trace in the new record
-_CORRELATED = 1e-11  # of the largest eigenvalue of a correlation matrix: less is rounding of a constraint
 _BLIND = 1e-11  # of the squares of unit derivatives: what other unknowns do as well
 _SPARE = 10  # samples beyond the unknowns, at least
 
@@ -176,7 +175,8 @@ def score_test(result: Any, data: Any, parameters: str, level: float, dt: float 
     _checks.choice("parameters", parameters, TESTED)
     level = _checks.level("level", level)
     record = _new_record(result, data, dt)
-    directions, tested = _directions(result, parameters)
+    tested = _tested(result, parameters)
+    directions = root_of_covariance(result.covariance, tested)
     sensitivities = sensitivities_of(result, record)
     _refuse_short(sensitivities)
     covariance, rest = noise_of(result, sensitivities)[:2]
@@ -188,7 +188,7 @@ def score_test(result: Any, data: Any, parameters: str, level: float, dt: float 
             "record while something moves the plant"
         )
     score, information = directions.T @ gradient, directions.T @ normal @ directions
-    return _judged(result, record, parameters, level, _Score(score, information, directions, tested), rest, covariance)
+    return _judged(result, record, (parameters, level), Score(score, information, directions), tested, rest, covariance)
 
 
 def _new_record(result: Any, data: Any, dt: float | None) -> Recording:
@@ -207,25 +207,16 @@ def _new_record(result: Any, data: Any, dt: float | None) -> Recording:
     return replace(record, input_labels=result.input_labels, output_labels=result.output_labels)
 
 
-def _directions(result: Any, parameters: str) -> tuple[Array, Indices]:
-    """Square root (k, q) of the covariance of the tested parameters, and the places (k,) of these.
-
-    Its columns span what the structure allows; along each the old fit has the error 1.
-    """
-    variances = np.diag(result.covariance)
-    known = np.isfinite(variances) & (variances > 0)
-    if parameters == "poles":
-        known &= np.arange(len(known)) < 2 * len(result.poles)
-    places = np.flatnonzero(known)
+def _tested(result: Any, parameters: str) -> Indices:
+    """Places (k,) of the tested parameters among those of the covariance."""
+    known = known_parameters(result.covariance)
+    places = known[known < 2 * len(result.poles)] if parameters == "poles" else known
     if not len(places):
         raise StructureError(
             "the fit has no parameter with a standard error, and there is nothing to hold a record against; "
             f"it was judged {result.verdict!r}"
         )
-    sizes = np.sqrt(variances[places])
-    values, vectors = np.linalg.eigh(result.covariance[np.ix_(places, places)] / np.outer(sizes, sizes))
-    kept = values > _CORRELATED * values.max()
-    return sizes[:, None] * vectors[:, kept] * np.sqrt(values[kept]), places
+    return places
 
 
 def _refuse_short(sensitivities: Sensitivities) -> None:
@@ -256,47 +247,12 @@ def _without_others(normal: Array, gradient: Array, places: Indices, tested: Ind
     return information * np.outer(own, own), score * own
 
 
-@dataclass(frozen=True, eq=False)
-class _Score:
-    """Score (q,) and information (q, q) in directions (k, q) of the tested parameters at some places (k,)."""
-
-    score: Array
-    information: Array
-    directions: Array
-    places: Indices
-
-    def spectrum(self) -> tuple[Array, Array, Mask]:
-        """Eigenvalues and vectors of the information, and which leave a trace."""
-        values, vectors = np.linalg.eigh(0.5 * (self.information + self.information.T))
-        return values, vectors, values > _SHOWN * max(float(values.max(initial=0.0)), np.finfo(float).tiny)
-
-    def step(self) -> tuple[Array, Array, Array]:
-        """Change (k,) of the parameters by one step, a square root of its covariance (k, j), and whether it is seen."""
-        values, vectors, shown = self.spectrum()
-        seen = self.directions @ vectors[:, shown]
-        change = seen @ (vectors[:, shown].T @ self.score / values[shown])
-        root = seen * np.sqrt(1.0 + 1.0 / values[shown])
-        hidden = np.linalg.norm(self.directions @ vectors[:, ~shown], axis=1)
-        sizes = np.linalg.norm(self.directions, axis=1)
-        return change, root, hidden <= np.sqrt(EPS) * sizes
-
-
-def standardised(score: Array, information: Array, spread: Array) -> tuple[Array, int]:
-    """Score (q,) in units in which its covariance `F + F P F` is the identity, and its rank.
-
-    `F` is the information and `P` the covariance (q, q) of the parameters that it is held against.
-    """
-    covariance = information + information @ spread @ information
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    shown = values > _SHOWN * max(float(values.max(initial=0.0)), np.finfo(float).tiny)
-    kept = vectors[:, shown]
-    return kept @ (kept.T @ score / np.sqrt(values[shown])), int(shown.sum())
-
-
 def _judged(
-    result: Any, record: Recording, parameters: str, level: float, score: _Score, rest: Array, covariance: Array
+    result: Any, record: Recording, request: tuple[str, float], score: Score, places: Indices, rest: Array,
+    covariance: Array,
 ) -> ChangeTest:  # fmt: skip
-    """The test of a score."""
+    """The test of a score of the parameters at some places (k,)."""
+    parameters, level = request
     values, vectors, shown = score.spectrum()
     along = vectors[:, shown].T @ score.score
     statistic = float(np.sum(along**2 / (values[shown] * (1.0 + values[shown]))))
@@ -304,16 +260,16 @@ def _judged(
     change, root, seen = score.step()
     n, count, size = result.order, len(result.poles), len(result.covariance)
     shift, error = np.full(size, np.nan), np.full(size, np.nan)
-    shift[score.places] = np.where(seen, change, np.nan)
-    error[score.places] = np.where(seen, np.linalg.norm(root, axis=1), np.nan)
+    shift[places] = np.where(seen, change, np.nan)
+    error[places] = np.where(seen, np.linalg.norm(root, axis=1), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         p = two_sided(np.where(error > 0, shift / error, np.nan))
     sign = np.where(result.real_poles > 0, 1.0, -1.0)
-    tests = [_of_mode(score.places, change, root, result, l) for l in range(count)]
+    tests = [_of_mode(places, change, root, result, l) for l in range(count)]
     statistics, dofs = (np.array([test[k] for test in tests], float) for k in (0, 1))
     directions = np.zeros((2 * count, score.directions.shape[1]))
-    of_poles = score.places < 2 * count
-    directions[score.places[of_poles]] = score.directions[of_poles]
+    of_poles = places < 2 * count
+    directions[places[of_poles]] = score.directions[of_poles]
     return ChangeTest(
         statistic=statistic, dof=dof, p=float(chdtrc(dof, statistic)) if dof else np.nan, level=level,
         parameters=parameters, natural_frequencies=result.natural_frequencies,
@@ -342,7 +298,7 @@ def _of_mode(places: Indices, change: Array, root: Array, result: Any, l: int) -
     if not len(own):
         return 0.0, 0
     U, s, _ = np.linalg.svd(own, full_matrices=False)
-    kept = s > np.sqrt(_CORRELATED) * s[0]
+    kept = s > np.sqrt(CORRELATED) * s[0]
     return float(np.sum((U[:, kept].T @ value / s[kept]) ** 2)), int(kept.sum())
 
 

@@ -11,15 +11,16 @@ import numpy as np
 
 from ..._display import Report, aligned, counted, to_its_error
 from ..._frozen import Frozen
-from ..._types import Array, ComplexArray
+from ..._types import ComplexArray
 from ..._units import rate, step_of
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording
 from ..data.experiments import as_channels
-from ..uncertainty.fisher import Combination, Information, listed, named_modes
+from ..uncertainty.fisher import Information, listed, named_modes
 from ..uncertainty.noise_model import NoiseModel
 from .excited_band import ExcitedBand, excited_band
+from .of_information import OfInformation
 from .planned_plant import PlannedPlant
 from .plant_information import RecordSensitivities, plant_information
 from .remedy import multisine
@@ -29,7 +30,7 @@ _FEW = 3  # combinations or poles described one by one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlantExcitation(Report, Frozen):
+class PlantExcitation(OfInformation, Report, Frozen):
     """What records show of a plant with losses, or of several inputs and outputs; made by `excitation`.
 
     Attributes
@@ -99,41 +100,6 @@ class PlantExcitation(Report, Frozen):
     def n(self) -> int:
         """Number of modes."""
         return int(np.sum(self.poles.imag != 0))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the unknowns, poles counted from 1."""
-        return self.information.names
-
-    @property
-    def rank(self) -> int:
-        """Number of independent combinations of unknowns that the records show."""
-        return self.information.rank
-
-    @property
-    def singular_values(self) -> Array:
-        """Singular values of the sensitivities scaled to unit length, descending; squared, those of the information."""
-        return self.information.singular_values
-
-    @property
-    def condition(self) -> float:
-        """Condition number of the information scaled to unit diagonal; `inf` where a combination is blind."""
-        return self.information.condition
-
-    @property
-    def blind(self) -> tuple[Combination, ...]:
-        """Combinations of unknowns that leave no trace in the outputs."""
-        return self.information.blind
-
-    @property
-    def nearly_blind(self) -> tuple[Combination, ...]:
-        """Combinations whose errors are inflated more than a hundred times."""
-        return self.information.nearly_blind
-
-    @property
-    def blind_parameters(self) -> tuple[str, ...]:
-        """Names of the unknowns that the records do not determine, however little the noise."""
-        return self.information.blind_parameters
 
     @property
     def uncertain(self) -> tuple[str, ...]:

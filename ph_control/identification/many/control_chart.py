@@ -3,34 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import control as ct
 import numpy as np
 from scipy.special import chdtrc
 
-from ..._checks import EPS
 from ..._display import Report, aligned, counted, p_value
 from ..._frozen import Frozen
 from ..._types import Array, Indices
 from ..change.cumulative_sum import average_run, limit_for, next_sum
-from ..change.score_test import standardised
+from ..change.score import Score
 from .chart_plot import chart_plot
 
 _SHOWN = 40  # lines of a table, beyond which its middle is left out
-
-
-@dataclass(frozen=True, eq=False)
-class RecordingScore(Frozen):
-    """Score (q,) and information (q, q) of a recording, in units of the errors of the reference.
-
-    `pole_directions` (2 n, q) are the natural frequencies in Hz and the damping ratios of the reference by these units.
-    """
-
-    score: Array
-    information: Array
-    pole_directions: Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,11 +130,14 @@ class ControlChart(Report, Frozen):
 
 
 def chart_of(
-    scores: Sequence[RecordingScore | str], names: Sequence[str], hertz: Array, unit: str, false_alarms: float,
+    scores: Sequence[Score | str], names: Sequence[str], hertz: Array, unit: str, false_alarms: float,
     shift: float,
 ) -> ControlChart:  # fmt: skip
-    """Control chart of the scores of recordings, or of the reasons why there is none."""
-    seen = [(place, score) for place, score in enumerate(scores) if isinstance(score, RecordingScore)]
+    """Control chart of the scores of recordings, or of the reasons why there is none.
+
+    Directions of a score are the natural frequencies in Hz and the damping ratios of the reference.
+    """
+    seen = [(place, score) for place, score in enumerate(scores) if isinstance(score, Score)]
     dimensions = seen[0][1].score.size if seen else 1
     allowance = 0.5 * shift
     limit = limit_for(1 / false_alarms, allowance, dimensions)
@@ -164,22 +154,18 @@ def chart_of(
     )  # fmt: skip
 
 
-def _sums(
-    scores: Sequence[RecordingScore], dimensions: int, allowance: float, limit: float
-) -> tuple[Array, Array, int | None]:
+def _sums(scores: Sequence[Score], dimensions: int, allowance: float, limit: float) -> tuple[Array, Array, int | None]:
     """Size of the cumulative sum after each recording, the p-value of each, and where the first alarm began.
 
     All recordings are held against one reference, whose error they share: each is held against the estimate from the
     reference and the recordings before it, so that they are independent.  After an alarm that estimate stays.
     """
     total, mean, precision = np.zeros(dimensions), np.zeros(dimensions), np.eye(dimensions)
-    spread: Array
     sizes, p, steps = [], [], list[Array]()
     start: int | None = None
     for recording in scores:
         F = recording.information
-        spread = np.asarray(np.linalg.inv(precision))
-        step, rank = standardised(recording.score - F @ mean, F, spread)
+        step, rank = recording.standardised(mean, np.asarray(np.linalg.inv(precision)))
         p.append(float(chdtrc(rank, step @ step)) if rank else np.nan)
         total = next_sum(total, step, allowance)
         sizes.append(float(np.linalg.norm(total)))
@@ -198,14 +184,9 @@ def _likely_start(steps: Array) -> int:
     return int(np.argmax(np.sum(tails**2, axis=1) / np.arange(len(steps), 0, -1.0)))
 
 
-def _frequency_shifts(recording: RecordingScore, hertz: Array) -> tuple[Array, Array]:
+def _frequency_shifts(recording: Score, hertz: Array) -> tuple[Array, Array]:
     """Relative change (n,) of each frequency, and its standard error; NaN where a recording does not tell."""
-    values, vectors = np.linalg.eigh(recording.information)
-    shown = values > 1e-9 * max(float(values.max(initial=0.0)), EPS)
-    kept, n = vectors[:, shown], len(hertz)
-    G = recording.pole_directions[:n]
-    hidden = np.linalg.norm(G @ vectors[:, ~shown], axis=1) > np.sqrt(EPS) * np.linalg.norm(G, axis=1)
-    change = G @ kept @ (kept.T @ recording.score / values[shown])
-    error = np.linalg.norm(G @ kept * np.sqrt(1 + 1 / values[shown]), axis=1)
-    unknown = hidden | (error == 0)
-    return np.where(unknown, np.nan, change / hertz), np.where(unknown, np.nan, error / hertz)
+    change, root, seen = replace(recording, directions=recording.directions[: len(hertz)]).step()
+    error = np.linalg.norm(root, axis=1)
+    known = seen & (error > 0)
+    return np.where(known, change / hertz, np.nan), np.where(known, error / hertz, np.nan)

@@ -9,8 +9,9 @@ import numpy as np
 from ..._types import Array, Indices
 from ..._units import hertz_size
 from ...exceptions import StructureError
+from ..change.score import Score, known_parameters, root_of_covariance
 from ..change.score_test import ChangeTest
-from .control_chart import ControlChart, RecordingScore, chart_of
+from .control_chart import ControlChart, chart_of
 from .recordings import Modes
 
 
@@ -19,27 +20,27 @@ def chart_of_recordings(fits: Any, false_alarms: float, shift: float) -> Control
     recordings: tuple[Modes, ...] = fits.recordings
     names = [modes.name for modes in recordings]
     tests = [modes.score for modes in recordings if isinstance(modes.score, ChangeTest)]
-    scores: list[RecordingScore | str]
+    scores: list[Score | str]
     if tests:
         hertz = np.array(tests[0].hertz)
         scores = [_of_test(modes.score) if isinstance(modes.score, ChangeTest) else modes.score for modes in recordings]
     else:
         hertz, scores = _of_fits(fits, recordings)
-    if not any(isinstance(score, RecordingScore) for score in scores):
+    if not any(isinstance(score, Score) for score in scores):
         reasons = "; ".join(dict.fromkeys(map(str, scores))) or "there are none"
         raise StructureError(f"no recording can be held against a reference: {reasons}")
     return chart_of(scores, names, hertz, fits.frequency_unit, false_alarms, shift)
 
 
-def _of_test(test: ChangeTest) -> RecordingScore:
+def _of_test(test: ChangeTest) -> Score:
     n, count = len(test.natural_frequencies), len(test.pole_directions) // 2
     places = np.concatenate([np.arange(n), count + np.arange(n)])
     directions = test.pole_directions[places].copy()
     directions[:n] /= hertz_size(test.time_unit)
-    return RecordingScore(test.score, test.information, directions)
+    return Score(test.score, test.information, directions)
 
 
-def _of_fits(fits: Any, recordings: tuple[Modes, ...]) -> tuple[Array, list[RecordingScore | str]]:
+def _of_fits(fits: Any, recordings: tuple[Modes, ...]) -> tuple[Array, list[Score | str]]:
     """Frequencies of the first recording with modes, and differences of fitted poles from its own."""
     fitted = [place for place, modes in enumerate(recordings) if modes.order > 0]
     if not fitted:
@@ -48,7 +49,7 @@ def _of_fits(fits: Any, recordings: tuple[Modes, ...]) -> tuple[Array, list[Reco
     root, known = _root(first.covariance)
     ids, table = fits.track(shortest=1).ids, fits.table
     rows = [ids[table["recording"] == number] for number in np.unique(table["recording"])]
-    scores: list[RecordingScore | str] = []
+    scores: list[Score | str] = []
     for place, modes in enumerate(recordings):
         if place == fitted[0]:
             scores.append("it is the reference")
@@ -66,7 +67,7 @@ def _partners(reference: Indices, recording: Indices) -> list[tuple[int, int]]:
 
 def _difference(
     reference: Modes, modes: Modes, partners: list[tuple[int, int]], root: Array, known: Indices
-) -> RecordingScore | str:  # fmt: skip
+) -> Score | str:  # fmt: skip
     """Score of the poles of a fit at those of the reference, in units of the errors of these."""
     n, other = reference.order, modes.order
     places = np.array([(k + part * n, l + part * other) for part in (0, 1) for k, l in partners], int).reshape(-1, 2)
@@ -79,18 +80,15 @@ def _difference(
     sizes = np.sqrt(np.diag(covariance))
     inverse = np.linalg.pinv(covariance / np.outer(sizes, sizes), hermitian=True) / np.outer(sizes, sizes)
     own = root[places[:, 0]]
-    return RecordingScore(own.T @ (inverse @ change), own.T @ inverse @ own, root)
+    return Score(own.T @ (inverse @ change), own.T @ inverse @ own, root)
 
 
 def _root(covariance: Array) -> tuple[Array, Indices]:
     """Square root (2n, q) of the covariance of the reference, 0 where nothing is known, and what is known."""
-    variances = np.diag(covariance)
-    known = np.flatnonzero(np.isfinite(variances) & (variances > 0))
+    known = known_parameters(covariance)
     if not len(known):
         raise StructureError("the first recording has no errors of its modes, and cannot be a reference: pass one")
-    sizes = np.sqrt(variances[known])
-    values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)] / np.outer(sizes, sizes))
-    kept = values > 1e-11 * values.max()
-    root = np.zeros((len(covariance), int(kept.sum())))
-    root[known] = sizes[:, None] * vectors[:, kept] * np.sqrt(values[kept])
+    inner = root_of_covariance(covariance, known)
+    root = np.zeros((len(covariance), inner.shape[1]))
+    root[known] = inner
     return root, known

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..._frozen import Frozen
-from ..._types import Array
+from ..._types import Array, Mask
 
 _SHOWN = 1e-6  # of the largest singular value of columns of unit length: below, a combination leaves no trace
 HIDDEN_SHARE = 1e-3  # of a combination: a parameter that belongs to it
@@ -90,7 +90,7 @@ class ParameterInformation:
     rank: int
 
     @classmethod
-    def of(cls, jacobian: Array, free: Array) -> ParameterInformation:
+    def of(cls, jacobian: Array, free: Mask) -> ParameterInformation:
         """Information of a Jacobian (N, P), parameters that are not free held."""
         P, places = jacobian.shape[1], np.flatnonzero(free)
         J = jacobian[:, places]
@@ -108,7 +108,7 @@ class ParameterInformation:
         return cls(inverse, hidden, int(shown.sum()))
 
     @property
-    def seen(self) -> Array:
+    def seen(self) -> Mask:
         """Which parameters belong to no combination without a trace."""
         return np.asarray(~np.any(np.abs(self.hidden) > HIDDEN_SHARE, axis=0))
 

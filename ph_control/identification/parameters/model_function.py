@@ -129,6 +129,10 @@ class ModelFunction:
         """Which parameters are at a bound."""
         return (theta <= self.lower) | (theta >= self.upper)
 
+    def may_move(self, theta: Array, slope: Array) -> Mask:
+        """Which parameters are not at a bound that the slope (P,) of the loss pushes them across."""
+        return np.asarray(~(((theta <= self.lower) & (slope > 0)) | ((theta >= self.upper) & (slope < 0))))
+
     def modes(self, theta: Array) -> PhysicalModes:
         """Modes of the system at some parameters."""
         key = theta.tobytes()

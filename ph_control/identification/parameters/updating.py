@@ -19,7 +19,7 @@ from scipy.special import chdtrc
 from ... import _checks
 from ..._display import Report, aligned, counted, p_value, to_its_error
 from ..._frozen import Frozen
-from ..._types import Array, ArrayLike, ComplexArray, Indices
+from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask
 from ..._units import hertz_size
 from ...exceptions import StructureError
 from ...numerics.mode_shapes import mac
@@ -485,7 +485,7 @@ def _updated(function: ModelFunction, target: _FittedTarget, prior: Array | None
             break
         free = _free(step)
         J = step.jacobian * free
-        move = -np.linalg.lstsq(J, step.residual, rcond=1e-10)[0]
+        move = np.asarray(-np.linalg.lstsq(J, step.residual, rcond=1e-10)[0], float)
         better = _shortened(step, move)
         if better is None or step.distance - better.distance <= _SETTLED * max(1.0, step.distance):
             success = True
@@ -495,11 +495,9 @@ def _updated(function: ModelFunction, target: _FittedTarget, prior: Array | None
     return _report(first, step, success)
 
 
-def _free(step: _UpdateStep) -> Any:
+def _free(step: _UpdateStep) -> Mask:
     """Which parameters are not pushed across a bound."""
-    slope = step.jacobian.T @ step.residual
-    function = step.function
-    return ~(((step.theta <= function.lower) & (slope > 0)) | ((step.theta >= function.upper) & (slope < 0)))
+    return step.function.may_move(step.theta, step.jacobian.T @ step.residual)
 
 
 def _shortened(step: _UpdateStep, move: Array) -> _UpdateStep | None:

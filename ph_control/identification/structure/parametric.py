@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ..._types import Array, ComplexArray, Indices
+from ..._types import Array, ComplexArray, Indices, Mask
 from ...exceptions import StructureError
 from ..data.channels import Recording
 from ..data.windowed import crossed_scores, share_errors
@@ -264,10 +264,9 @@ class _ParameterPoint:
         return np.stack(columns, axis=1) * function.scale
 
     @cached_property
-    def free(self) -> Any:
+    def free(self) -> Mask:
         """Which parameters are not held at a bound that the loss pushes them across."""
-        function, slope = self.problem.function, self.jacobian.T @ self.residual
-        return ~(((self.theta <= function.lower) & (slope > 0)) | ((self.theta >= function.upper) & (slope < 0)))
+        return self.problem.function.may_move(self.theta, self.jacobian.T @ self.residual)
 
 
 # --- the search ------------------------------------------------------------------------------------------------------

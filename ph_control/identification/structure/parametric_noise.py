@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.signal import lfilter
 
 from ..._types import Array
 from ..innovations.forces import FittedNoise
@@ -21,8 +20,8 @@ from ..parameters.physical_modes import PhysicalModes
 from ..parameters.rows import RowsRemainder, shared_unknowns
 from ..regression.free import FreeProjection, places_of
 from ..regression.time_rows import FreeRecord
+from ..uncertainty.kalman import KalmanFilter
 
-_WELL = 1e8  # condition of the modes of the predictor
 _RANK = 1e-9  # of the largest singular value of columns of unit length
 
 
@@ -42,12 +41,17 @@ class SharedNoise:
     def _root(self) -> Array:
         return np.asarray(np.linalg.cholesky(self.noise.covariance))
 
+    @cached_property
+    def _filter(self) -> KalmanFilter:
+        noise = self.noise.sections
+        p, N = noise.C.shape
+        return KalmanFilter(noise.A, np.zeros((N, 0)), noise.C, np.zeros((p, 0)), noise.K, self.noise.covariance)
+
     def whitened(self, signals: Array) -> Array:
         """Innovations of signals (k, p, T)."""
         errors = signals
         if self.noise.is_coloured:
-            sections = self.noise.sections
-            errors = signals - _foretold(sections.A, sections.C, sections.K, signals)
+            errors = np.stack([each - self._filter.foretold(np.zeros((0, each.shape[1])), each, 1) for each in signals])
         k, p, T = signals.shape
         flat = np.moveaxis(errors, 1, 0).reshape(p, k * T)
         return np.moveaxis(solve_triangular(self._root, flat, lower=True).reshape(p, k, T), 0, 1)
@@ -148,21 +152,3 @@ def _turn(rows: FreeRecord, model: PhysicalModes, scales: Array, kinds: Sequence
         amplitude = (1j if part else 1.0) * model.shapes[l, rows.outputs] * (0.5 if model.real[l] else 1.0) / unit
         turn[l, :, k], turn[n + l, :, k] = amplitude.real, amplitude.imag
     return turn
-
-
-def _foretold(A: Array, C: Array, K: Array, signals: Array) -> Array:
-    """What the past of signals (k, p, T) foretells of each sample: `x' = (A - K C) x + K y`, `C x`."""
-    poles, vectors = np.linalg.eig(A - K @ C)
-    if np.linalg.cond(vectors) < _WELL:
-        seen, driven = C @ vectors, np.linalg.solve(vectors, K.astype(complex))
-        foretold = np.zeros(signals.shape)
-        for pole, c, b in zip(poles, seen.T, driven, strict=True):
-            state = lfilter([0.0, 1.0], [1.0, -pole], np.einsum("p,kpt->kt", b, signals), axis=-1)
-            foretold += (c[:, None] * state[:, None]).real
-        return foretold
-    closed, state = A - K @ C, np.zeros((len(A), len(signals)))
-    foretold = np.empty(signals.shape)
-    for t in range(signals.shape[2]):
-        foretold[:, :, t] = (C @ state).T
-        state = closed @ state + K @ signals[:, :, t].T
-    return foretold
