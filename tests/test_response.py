@@ -498,6 +498,10 @@ BAD = {
         lambda: phc.forced_response(ct.frd([1.0], [1.0]), T3),
         "this is a FrequencyResponseData; give a system",
     ),
+    "a hold for another system": (
+        lambda: phc.step_response(ct.ss(ONE), T3, intersample="spline"),
+        "intersample is 'spline'",
+    ),
     "a rule for another system": (
         lambda: phc.step_response(ct.ss(ONE), T3, method="euler"),
         "method='euler' is for systems that ph",

@@ -212,6 +212,7 @@ def step_response(
         return _traces(sys, t, one, "Step", shown, method, intersample, transpose, squeeze, return_states)
 
     def of_other(sys: Any, t: Array) -> TimeResponseData:
+        _checks.choice("intersample", intersample, INTERSAMPLE)
         picked = _chosen("input", input_indices, sys.ninputs), _chosen("output", output_indices, sys.noutputs)
         return responding(
             ct.step_response, sys, t, _initial_state(initial_state, sys.nstates), *picked, transpose=transpose,
