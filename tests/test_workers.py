@@ -63,4 +63,4 @@ def test_a_script_without_a_main_part_is_told_what_it_lacks(tmp_path):
         "phc.pem((None, np.sin(np.arange(50)) + 0.1 * u), 1, dt=0.1).bootstrap(4, rng=1, workers=2)\n"
     )
     done = run(tmp_path, "script.py")
-    assert done.returncode == 1 and "if __name__ == '__main__':" in done.stderr.splitlines()[-1]
+    assert done.returncode == 1 and "if __name__ == '__main__':" in done.stderr
