@@ -157,3 +157,11 @@ def test_rules_that_have_no_step_are_refused():
     ):
         with pytest.raises(phc.StructureError, match="intersample must be 'zoh'; use method='exact' or 'midpoint'"):
             ask()
+
+
+@pytest.mark.parametrize("method", ["exact", "midpoint", "euler"])
+def test_an_undamped_mode_turns_by_the_phase_of_its_frequency(method):
+    hold = Hold(0.3, method, "zoh")
+    phases = np.array([0.01, 0.7, 1.4])
+    _, (turned, _) = hold.log_multiplier(1j * hold.frequency_of(phases))
+    np.testing.assert_allclose(turned, phases, rtol=1e-12)

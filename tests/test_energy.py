@@ -98,6 +98,20 @@ def test_long_steps_of_any_size_leave_no_defect(name):
             assert np.max(np.abs(balance.defect)) < ALLOWED * size
 
 
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+@pytest.mark.parametrize("plant", ["light", "through"])
+def test_steps_of_the_midpoint_rule_supply_the_product_of_mean_input_and_mean_output(plant, hold):
+    sys = PLANTS[plant](1.0)
+    t, u = 0.1 * np.arange(40), np.random.default_rng(1).standard_normal(40)
+    response = phc.forced_response(sys, t, u, method="midpoint", intersample=hold)
+    balance = phc.energy_balance(response, sys, method="midpoint", intersample=hold)
+    held = u[:-1] if hold == "zoh" else 0.5 * (u[:-1] + u[1:])
+    z = 0.5 * (response.states[:, :-1] + response.states[:, 1:])
+    flow = 0.1 * held * (sys.C[:1] @ z + sys.D[0, 0] * held)[0]
+    np.testing.assert_allclose(balance.supplied, np.cumsum(np.concatenate([[0.0], flow])), atol=1e-12)
+    assert np.max(np.abs(balance.defect)) < 1e-12
+
+
 # --- what no motion has --------------------------------------------------------------------------------------------
 
 

@@ -470,3 +470,14 @@ def test_a_modal_form_leaves_the_arrays_it_is_made_of_alone():
     assert np.array_equal(modes.rigid, [[1.0]]) and np.array_equal(modes.r, [1.0, 1.0])
     for array in (modes.d, modes.nu, modes.rigid, modes.r):
         assert not array.flags.writeable
+
+
+def test_residues_are_shapes_times_participations_and_make_up_the_response():
+    system = phc.spring_chain([1.0, 2.0], 3.0, ground=0.5, port=[0, 1])
+    form = system.modes
+    residues, upper = form.residues, form.mode_poles
+    for residue, shape, participation in zip(residues[-2:], form.shapes, form.participation, strict=True):
+        np.testing.assert_allclose(residue, np.outer(shape, participation), atol=1e-15)
+    s = 0.3 + 0.7j
+    parts = [r / (s - p) + r.conj() / (s - p.conjugate()) for r, p in zip(residues[-2:], upper, strict=True)]
+    np.testing.assert_allclose(np.sum(parts, axis=0), system(s), rtol=1e-12)

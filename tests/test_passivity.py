@@ -124,6 +124,16 @@ def test_the_scattering_example_of_the_literature():
     assert not report.is_passive and report.margin == -report.worst[1]
 
 
+@pytest.mark.parametrize("kind", ["immittance", "scattering"])
+def test_the_curve_is_the_least_resistance_or_the_largest_gain(kind):
+    system = modal_system([-0.3 + 1j], [np.array([[0.2 - 0.1j, 0.1], [0.1, 0.3]])], 0.2 * np.eye(2))
+    omega, values = phc.passivity(system, kind).curve()
+    G = np.asarray(system(1j * omega)).transpose(2, 0, 1)
+    parts = 0.5 * (G + G.conj().transpose(0, 2, 1))
+    expected = np.linalg.norm(G, 2, axis=(1, 2)) if kind == "scattering" else np.linalg.eigvalsh(parts)[:, 0]
+    np.testing.assert_allclose(values, expected, atol=1e-12)
+
+
 @pytest.mark.parametrize("quality", [1e4, 1e6])
 def test_a_violation_of_a_sharp_resonance_is_found_where_a_grid_misses_it(quality):
     """A resistance of 1, and a resonance at 1 rad/s of half width `w` that takes away 1.01 at its top."""

@@ -1006,6 +1006,14 @@ def test_bins_without_input_power_are_left_out():
     assert len(spectral_estimate(white).omega) == len(white.time) // 9 - 2
 
 
+def test_bins_with_a_thousandth_of_the_input_power_are_kept():
+    data = fir_record(4096)
+    t, weak = data.time, 0.02 * data.inputs
+    u = weak + np.sin(np.pi / 4 * t / t[1])
+    estimate = spectral_estimate(ct.TimeResponseData(t, 2 * u, inputs=u, issiso=True))
+    assert len(estimate.omega) >= len(t) // 9 - 10  # but for some about the strong line
+
+
 def test_segments_do_not_reach_across_missing_samples():
     data = fir_record(8192)
     y = data.outputs.copy()

@@ -254,3 +254,10 @@ def test_a_unit_of_the_gain_that_the_measurement_tells_is_that_of_the_model():
     circle = phc.circle_plot(phc.pem(data, 1))
     assert circle.axes[0, 0].get_xlabel() == "Real part [m/s/N]"
     plt.close("all")
+
+
+@pytest.mark.parametrize(("unit", "seconds"), [("ms", 1e-3), ("s", 1.0), ("min", 60.0), ("h", 3600.0)])
+def test_hertz_are_those_of_the_unit_of_time(unit, seconds):
+    result = phc.pem(recording(f"Time ({unit})"), 2)
+    np.testing.assert_allclose(result.hertz, D / (2 * np.pi * seconds), rtol=0.02)
+    np.testing.assert_allclose(result.natural_frequencies, D, rtol=0.02)
