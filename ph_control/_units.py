@@ -14,6 +14,8 @@ import numpy as np
 from . import _checks
 from .exceptions import StructureError
 
+# what an output measures, as a derivative of a displacement; of any other sensor nothing is known
+DERIVATIVES = {"displacement": 0, "free": 0, "velocity": 1, "acceleration": 2}
 SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 _SPELLINGS = {
     "ns": ("ns", "nsec", "nanosecond", "nanoseconds"),

@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from .. import _checks
 from .._threads import on_one_thread
 from .._types import Array, ComplexArray
-from .._units import with_unit
+from .._units import DERIVATIVES, with_unit
 from ..analysis.passivity import KINDS, PassivityReport, passivity
 from ..exceptions import ConditioningWarning, StructureError
 from ..modal.general_form import real_matrices
@@ -27,7 +27,6 @@ from .closest_passive import Closest, FixedPoles, closest_passive
 _ACTIVE = 1e-12  # of its size: what a feedthrough that cannot move may lack of passivity
 _RIDGE = 1e-13  # of the largest: least information on what moves
 _STEADY = (0.1, 0.3, 1.0, 3.0)  # standard errors of damping ratios that growing poles may get: the cheapest is taken
-_POWERS = {"displacement": 1, "free": 1, "velocity": 0, "acceleration": -1}  # of the pole, from outputs to velocities
 
 
 @on_one_thread
@@ -359,7 +358,7 @@ def _ports_of(result: Any, pairs: tuple[tuple[int, int], ...], kind: str) -> _Po
     rows = np.zeros((m, 2 * n * m, 2 * size + p * m))
     through = np.zeros((m, m, 2 * size + p * m))
     for k, (output, _) in enumerate(pairs):
-        power = 0 if kind == "scattering" else _POWERS[result.quantities[output]]
+        power = 0 if kind == "scattering" else 1 - DERIVATIVES[result.quantities[output]]
         factor = 2 * poles**power  # outputs are Re(c x)
         for l in range(n):
             for i in range(m):

@@ -13,6 +13,7 @@ from scipy.sparse.linalg import splu
 
 from .. import _checks
 from .._types import Array, ComplexArray
+from .._units import DERIVATIVES
 from ..exceptions import StructureError
 from ..numerics.shift_invert import Pencil
 from ..systems.port_hamiltonian import PortHamiltonian
@@ -20,7 +21,7 @@ from .massless import refuse_massless
 from .modal_reduction import StructuralModes, dense, projected_damping, sparse_matrix
 from .second_order import from_second_order, measured_rows
 
-_ORDERS = {"position": 0, "displacement": 0, "velocity": 1, "acceleration": 2}  # derivatives of the displacement
+_ORDERS = {"position": 0, **DERIVATIVES}
 _UNCOUPLED = 1e-10  # of the forces of dampers: what does not couple modes kept to those left out
 _SPREAD = np.array([-8.0, -4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0, 8.0])  # damping ratios beside a resonance
 _BETWEEN = 200  # further frequencies at which the bound is evaluated

@@ -10,10 +10,11 @@ import numpy as np
 
 from ... import _checks
 from ..._display import counted
+from ..._units import DERIVATIVES
 from ...exceptions import StructureError
 from ...io.text_table import is_time_label
 
-QUANTITIES = ("displacement", "free", "velocity", "acceleration")
+QUANTITIES = tuple(DERIVATIVES)
 _WORDS = {
     "acceleration": ("acceleration", "accelerations", "accel", "acc", "accelerometer", "accelerance", "inertance"),
     "velocity": ("velocity", "velocities", "vel", "speed", "mobility"),

@@ -9,9 +9,9 @@ import numpy as np
 from ... import _checks
 from ..._frozen import ReadOnlyMapping
 from ..._types import Array, ArrayLike, ComplexArray
+from ..._units import DERIVATIVES
 from ...exceptions import StructureError
 from ...structures.base_motion import BaseMotion
-from ..structure.layout import POWERS
 
 
 def base_motion(model: Any, masses: ArrayLike | None = None) -> BaseMotion:
@@ -125,7 +125,11 @@ def _weights(masses: ArrayLike | None, inputs: int, outputs: int) -> Array:
 def _contributions(result: Any) -> tuple[Array, Array]:
     """Contributions (n, p, m), and their derivatives (n p m, K) by what `PEMResult.covariance` is of."""
     n, count, (p, m) = result.order, len(result.poles), result.residues.shape[1:]
-    d, zeta, power = result.natural_frequencies, result.damping_ratios, np.array([POWERS[q] for q in result.quantities])
+    d, zeta, power = (
+        result.natural_frequencies,
+        result.damping_ratios,
+        np.array([DERIVATIVES[q] for q in result.quantities]),
+    )
     factor, by_d, by_zeta = _factors(d, zeta, power)
     rho = result.residues[:n]
     values = (rho * factor[:, :, None]).real

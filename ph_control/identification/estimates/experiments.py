@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..._types import Array, ComplexArray
+from ..._units import DERIVATIVES
 from ..data.channels import Recording, single
 from ..data.frequency_record import FrequencyRecord
 from ..regression.free_prediction import FittedChannels, natural_jacobian
@@ -16,7 +17,7 @@ from ..regression.frequency_rows import FreeResponse
 from ..regression.modal_regressors import output_weight
 from ..regression.prediction import FittedExperiment, ResponseBackground, state_of
 from ..regression.time_rows import FreeRecord
-from ..structure.layout import POWERS, residue_of_unit_weight, weights_of
+from ..structure.layout import residue_of_unit_weight, weights_of
 from .fitted_structure import FittedStructure, roots
 from .scaled_shapes import ModeShapes, shape_errors
 
@@ -142,7 +143,7 @@ def _modal_state_errors(structure: FittedStructure, rows: int) -> Array:
     """Standard errors of `(q, p)` of lossless modes, in some of the rows."""
     projection, fit, quantity = structure.measured, structure.fit, structure.request.quantities[0]
     scale, ((spread, crossed),) = float(structure.free.scales[0]), structure.own_spreads(rows)
-    n, power, d = len(fit.p), POWERS[quantity], np.abs(fit.p)
+    n, power, d = len(fit.p), DERIVATIVES[quantity], np.abs(fit.p)
     own, shared = projection.own[rows][:, 0], projection.shared[:, 0]
     per_weight = residue_of_unit_weight(d, power)
     r = (scale * (shared[:n] + 1j * shared[n : 2 * n]) / per_weight).real

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..._types import Array, ComplexArray, Indices, Mask
-from ..structure.layout import POWERS
+from ..._units import DERIVATIVES
 
 _ROUNDING = 32 * np.finfo(float).eps  # of the largest entry of a shape: what a singular value decomposition leaves
 
@@ -23,7 +23,7 @@ Ports = Sequence[tuple[int, int]]  # (output, input) of each driving point
 
 def in_velocity_units(poles: ComplexArray, quantities: Sequence[str]) -> ComplexArray:
     """Factors (n, outputs) that make `psi psi^T` of residues: `2j Im p / p^k`."""
-    power = np.array([POWERS[quantity] for quantity in quantities])
+    power = np.array([DERIVATIVES[quantity] for quantity in quantities])
     return np.asarray(2j * poles.imag[:, None] / poles[:, None] ** power)
 
 
@@ -122,7 +122,7 @@ def shape_jacobian(pole: complex, residue: ComplexArray, quantities: Sequence[st
     poles = np.array([pole])
     factor = in_velocity_units(poles, quantities)[0]
     K = residue * factor[:, None]
-    power = np.array([POWERS[quantity] for quantity in quantities])
+    power = np.array([DERIVATIVES[quantity] for quantity in quantities])
     d, zeta = abs(pole), -pole.real / abs(pole)
     dK = np.zeros((2 + 2 * p * m, p, m), complex)
     for row, dp in enumerate((pole / d, d * complex(-1.0, -zeta / np.sqrt(1 - zeta**2)))):

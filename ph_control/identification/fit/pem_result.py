@@ -15,7 +15,7 @@ from ... import _checks
 from ..._display import counted
 from ..._frozen import ReadOnlyMapping
 from ..._types import Array, ArrayLike, ComplexArray
-from ..._units import common_unit, hertz_size, with_unit
+from ..._units import DERIVATIVES, common_unit, hertz_size, with_unit
 from ...analysis.spectral_window import SpectralWindow
 from ...exceptions import ConditioningWarning, NoSuchQuantityError, NotPassiveError, StructureError
 from ...modal.discretization import Hold
@@ -45,7 +45,7 @@ from ..regression.free_prediction import (
 from ..regression.prediction import FittedExperiment, ResponseBackground, output_gain
 from ..search.channel_rows import RowOptions
 from ..search.circumstances import Cause, Finding
-from ..structure.layout import POWERS, residue_of_unit_weight, weights_of
+from ..structure.layout import residue_of_unit_weight, weights_of
 from ..structure.parametric import PARAMETRIC
 from ..uncertainty.draws import draw
 from ..uncertainty.modal_draws import ModalSamples
@@ -300,7 +300,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
 
     def _weight_errors(self) -> dict[str, Array]:
         """Standard errors of `r` and `kappa`, by the derivatives of `r` by frequency, damping ratio and residue."""
-        n, power = self.order, POWERS[self.quantity]
+        n, power = self.order, DERIVATIVES[self.quantity]
         zeta, d, r, l = self.damping_ratios, self.d, self.r, np.arange(n)
         turn = np.sqrt(1 - zeta**2)
         pole = -zeta + 1j * turn
@@ -393,7 +393,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
             return self.observed_system
         ports = sorted(self.ports, key=lambda port: port[1])
         velocities = [o for o, _ in ports]
-        powers = np.array([POWERS[quantity] for quantity in self.quantities])
+        powers = np.array([DERIVATIVES[quantity] for quantity in self.quantities])
         with np.errstate(all="ignore"):
             turned = self.residues * (self.poles[:, None] ** (1.0 - powers))[:, :, None]
         if not np.all(np.isfinite(turned)):
@@ -511,7 +511,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         sign = np.ones(len(mean))
         if self.structure == "lossless" and self._has_weights:
             # weights stay positive: of a displacement that is the sign of minus the imaginary part
-            power = POWERS[self.quantity]
+            power = DERIVATIVES[self.quantity]
             weights[(2 + (power != 1)) * n :][:n] = True
             sign[weights] = -1.0 if power == 0 else 1.0
         draws = sign * draw(

@@ -12,7 +12,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 from ..._types import Array
-from ..._units import SECONDS
+from ..._units import DERIVATIVES, SECONDS
 from ...exceptions import StructureError
 from ...io.codecs import Codec, system_from_dict
 from ...io.json_format import Fields
@@ -27,7 +27,7 @@ from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import QUANTITIES
 from ..regression.prediction import FittedExperiment, ResponseBackground
 from ..structure.hypothesis_tests import STRUCTURES
-from ..structure.layout import POWERS, residue_of_unit_weight
+from ..structure.layout import residue_of_unit_weight
 from ..structure.parametric import PARAMETRIC
 from ..uncertainty.noise_model import NoiseModel
 from .pem_result import PEMResult
@@ -332,9 +332,9 @@ def _lossless_parts(fields: Fields, experiments: Callable[..., Any]) -> dict[str
     fields.skip(*_NOT_KEPT)
     seen = np.setdiff1d(np.arange(system.n), fields.array("unseen", (None,)).astype(int))
     d, r, quantity = system.d[seen], system.r[seen], fields.text("quantity")
-    if quantity not in POWERS:
-        raise StructureError(f"quantity is {quantity!r}; it must be one of {', '.join(map(repr, POWERS))}")
-    n, power, data = len(d), POWERS[quantity], experiments(fields, system.n)
+    if quantity not in DERIVATIVES:
+        raise StructureError(f"quantity is {quantity!r}; it must be one of {', '.join(map(repr, DERIVATIVES))}")
+    n, power, data = len(d), DERIVATIVES[quantity], experiments(fields, system.n)
     driven = any(getattr(experiment.record, "driven", True) for experiment in data)
     per_weight = residue_of_unit_weight(d, power)
     residues = (per_weight * r).reshape(n, 1, 1)[:, :, : int(driven)]

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..._units import DERIVATIVES
 from ...modal.discretization import Hold
 from ..data.time_record import Record
 from ..diagnosis.nonlinearity import not_linear
@@ -20,7 +21,6 @@ from ..search.circumstances import HOLDS, REJECTED, Cause, Finding
 from ..search.fitted_modes import FreeFit
 from ..structure.choice import layout_of
 from ..structure.hypothesis_tests import LEVEL
-from ..structure.layout import POWERS
 from ..uncertainty.fisher import PortRecord
 from .residuals import outlying, saturated, whiteness_of
 
@@ -118,7 +118,7 @@ def _reversed(estimates: Estimates) -> list[Finding]:
     residues, _ = layout_of(free, request).split(projection.shared, len(projection.p))
     modes, labels = projection.p.imag > 0, free.channels[0].output_labels
     for output, driven in request.ports:
-        power = POWERS.get(request.quantities[output])
+        power = DERIVATIVES.get(request.quantities[output])
         if power is not None:
             along = residues[modes, output, driven] * projection.p[modes] ** (1 - power)
             if np.all(along.real < -_OPPOSED * np.abs(along)):

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, Mask
+from ..._units import DERIVATIVES
 from ...analysis.spectral_window import SpectralWindow
 from ..data.line_errors import BandedFactor
 from ..data.windowed import Peaks, SharedErrors, windowed_peaks
@@ -21,7 +22,7 @@ from .tuning import TUNING
 
 def differentiated(omega: Array, quantity: str) -> ComplexArray:
     """What makes the response of a displacement that of a quantity: a power of `i w`."""
-    return np.asarray((1j * omega) ** {"displacement": 0, "velocity": 1, "acceleration": 2}[quantity], complex)
+    return np.asarray((1j * omega) ** DERIVATIVES[quantity], complex)
 
 
 def typical_distance(omega: Array) -> float:

@@ -21,10 +21,11 @@ import numpy as np
 from scipy.signal import lfilter
 
 from ..._types import Array, ComplexArray, NDArray
+from ..._units import DERIVATIVES
 from ...modal.discretization import Hold, Multipliers
 from ...modal.modal_form import imaginary
 
-QUANTITIES = ("velocity", "displacement", "acceleration")
+QUANTITIES = tuple(quantity for quantity in DERIVATIVES if quantity != "free")
 
 SHORT = 32  # samples in a group
 

@@ -13,11 +13,12 @@ import numpy as np
 from scipy.signal import argrelmin
 
 from ..._types import Array, Indices, Mask
+from ..._units import DERIVATIVES
 from ..regression.free import Delays, FreeProjection, FreeRows
 from ..regression.sections import PoleRegion
 from ..regression.tuning import TUNING
 from .constrained import Approach, StructuredFit
-from .layout import POWERS, ChannelLayout
+from .layout import ChannelLayout
 
 _GRID = 16  # delays that are compared within the interval between samples
 _EXPLAINED = 0.5  # of what residues have beside a structure: delays that explain less are none
@@ -160,7 +161,7 @@ def beside_real_shapes(projection: FreeProjection, layout: ChannelLayout, output
     )
     modes = projection.p.imag > 0
     p, rho, error = projection.p[modes], residues[modes, output], np.abs(errors[modes, output]) / np.sqrt(2)
-    factor = (p ** POWERS[layout.quantities[output]] / (2j * p.imag))[:, None]
+    factor = (p ** DERIVATIVES[layout.quantities[output]] / (2j * p.imag))[:, None]
     shape, size = rho / factor, np.where(error > 0, error, np.inf) / np.abs(factor)
     turned = shape[None] * np.exp(1j * np.multiply.outer(delays, p.imag))[:, :, None]
     beside: Array = (turned.imag / size) ** 2

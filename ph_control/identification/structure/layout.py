@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..._types import Array, ComplexArray, Indices
-
-POWERS = {"displacement": 0, "free": 0, "velocity": 1, "acceleration": 2}
+from ..._units import DERIVATIVES
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class ChannelLayout:
     @property
     def powers(self) -> Indices:
         """How often the displacement of each output was differentiated."""
-        return np.array([POWERS[quantity] for quantity in self.quantities])
+        return np.array([DERIVATIVES[quantity] for quantity in self.quantities])
 
     def entries(self, output: int) -> list[tuple[int, int]]:
         """Outputs and inputs of the residues that an output of the projection has."""
@@ -77,5 +76,5 @@ def residue_of_unit_weight(d: Array, power: int, zeta: Any = 0.0) -> ComplexArra
 def weights_of(poles: ComplexArray, residues: ComplexArray, quantity: str) -> Array:
     """Weights `r` of lossless or classical modes with these residues of one input and one output, at least 0."""
     d = np.abs(poles)
-    per_weight = residue_of_unit_weight(d, POWERS[quantity], -poles.real / d)
+    per_weight = residue_of_unit_weight(d, DERIVATIVES[quantity], -poles.real / d)
     return np.maximum((residues / per_weight).real, 0.0)

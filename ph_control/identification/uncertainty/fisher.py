@@ -18,6 +18,7 @@ from ... import _checks
 from ..._checks import EPS
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Mask
+from ..._units import DERIVATIVES
 from ...modal.discretization import Hold
 from ...modal.modal_form import imaginary
 from ..regression.elimination import eliminate
@@ -271,7 +272,7 @@ class PortRecord:
         motion, forced, slopes = columns[:, : 2 * n], columns[:, 2 * n : 4 * n], columns[:, 4 * n + 1 : -1]
         weight = 0.5 * output_weight(d, self.quantity)[0].conj()
         by_kappa = weight.real * forced[:, :n] + weight.imag * forced[:, n:]
-        power = {"velocity": 0.0, "displacement": -1.0, "acceleration": 1.0}[self.quantity]
+        power = DERIVATIVES[self.quantity] - 1.0
         own = 0.5 * np.concatenate([amplitudes.real, -amplitudes.imag])
         by_d = by_poles(slopes, rows, own, (kappa * weight)[:, None])[:, :n] + kappa * power / d * by_kappa
         if self.quantity == "acceleration":
