@@ -90,8 +90,8 @@ FAULTS = (
         "0.5 * (covariance - relation)",
         "windowed_responses",
     ),
-    fault(f"{ID}/diagnosis/hum.py", "2 * np.pi * place / (", "2 * np.pi * (place + 1) / (", "hum"),
-    fault(f"{ID}/diagnosis/outliers.py", "_BY_CHANCE = 1e-4", "_BY_CHANCE = 1e-40", "bad_records", "residuals"),
+    fault(f"{ID}/diagnosis/hum.py", "_LINE = 1e-6", "_LINE = 1e-60", "hum"),
+    fault(f"{ID}/diagnosis/outliers.py", "_BY_CHANCE = 1e-4", "_BY_CHANCE = 0.9", "frequency_fits", "real_noise"),
     fault(
         f"{ID}/estimates/experiments.py",
         "(0.0, -1.0, -2.0)[power] + 0.5",

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 from scipy.special import chdtrc
+from scipy.stats import norm
 
 import ph_control as phc
 from ph_control import StructureError
@@ -293,6 +294,9 @@ def step_down(p):
 def test_shifts_are_held_against_the_errors_of_both_fits():
     before, after = fitted(), later()
     comparison = before.compare(after)
+    z = np.concatenate([comparison.frequency_z, comparison.damping_z])
+    p = np.concatenate([comparison.frequency_p, comparison.damping_p])
+    np.testing.assert_allclose(p, 2 * norm.sf(np.abs(z)), rtol=1e-12)
     assert comparison.pairs.tolist() == [[0, 0], [1, 1]] and comparison.shifted.tolist() == [0] and comparison.changed
     for name, z in (("natural_frequencies", comparison.frequency_z), ("damping_ratios", comparison.damping_z)):
         error = np.hypot(before.stderr[name], after.stderr[name])
