@@ -86,34 +86,10 @@ def _fitted(channels: Experiments, order: int | str, assumptions: Assumptions, s
 
 def _searched(channels: Experiments, order: int | str, assumptions: Assumptions, start: ComplexArray | None) -> FreeFit:
     """Search for modes, then for the noise and the circumstances in which they are likelier."""
-    automatic = not isinstance(order, int)
-    begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
-    search = Search(assumptions, begin, order if isinstance(order, int) else assumptions.max_order, automatic)
-    path = search.path(channels)
-    path.check(1 if automatic else search.most)
-    if automatic:
-        search = replace(search, most=min(search.most, path.carried))
-    if automatic and assumptions.criterion == "holdout":
-        foretelling = foretelling_order(channels, begin, search.most, search.path)
-        search = replace(search, most=foretelling, automatic=False)
-    late = of_late_inputs(channels, search) if assumptions.inputs_may_be_late(channels) else None
-    begun = in_prevailing_noise(channels, search) if start is None and late is None else None
-    if begun is not None and begun.stands:
-        fit, forced = begun.fit, begun.forced
-        in_noise = _noise_beside(fit, path, search, start)
-    else:
-        fit = _or_likelier(late or search.along(path, channels), path, search, start)
-        in_noise = _noise_beside(fit, path, search, start)
-        forced = fit if fit.interrupted else in_noise(fit)
-    if forced.interrupted:
-        return forced
-    if begun is not None and begun.forced.criteria.bic < min(fit.criteria.bic, forced.criteria.bic):
-        fit, forced = begun.fit, begun.forced
-    if forced.beside is None and forced.own_noise and search.automatic and not fit.noise:
-        fit = forced = _in_slow_noise(fit, forced.own_noise, path, search)
-    if forced.beside is not None and forced.beside.is_coloured and forced.own_noise:
-        likelier = likelier_in_own_noise(forced, search)
-        fit, forced = (fit, forced) if likelier is None else (likelier, likelier)
+    search, path = _prepared(channels, order, assumptions, start)
+    fit, forced, in_noise = _in_white_noise_and_beside(channels, search, path, start)
+    if not forced.interrupted:
+        fit, forced = _or_in_own_noise(fit, forced, path, search)
     if forced.interrupted:
         return forced
     open_delay = assumptions.delay is None and may_be_late(forced)
@@ -121,6 +97,58 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
         return beside_forces_and_more(forced, fit, in_noise, search, may_be_late=open_delay)
     in_white_noise = _beside_all_else(fit.with_delay_open(open_delay), search)
     return in_white_noise if forced.beside is None else _in_likelier_rows(forced, in_white_noise, in_noise, search)
+
+
+def _prepared(
+    channels: Experiments, order: int | str, assumptions: Assumptions, start: ComplexArray | None
+) -> tuple[Search, FreePath]:
+    """Return the search, with the largest order that the data carry, or that foretells best, and its path."""
+    begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
+    if isinstance(order, int):
+        search = Search(assumptions, begin, order, False)
+        path = search.path(channels)
+        path.check(order)
+        return search, path
+    search = Search(assumptions, begin, assumptions.max_order, True)
+    path = search.path(channels)
+    path.check(1)
+    search = replace(search, most=min(search.most, path.carried))
+    if assumptions.criterion == "holdout":
+        foretelling = foretelling_order(channels, begin, search.most, search.path)
+        search = replace(search, most=foretelling, automatic=False)
+    return search, path
+
+
+def _in_white_noise_and_beside(
+    channels: Experiments, search: Search, path: FreePath, start: ComplexArray | None
+) -> tuple[FreeFit, FreeFit, InNoise]:
+    """Return the fit in white noise, that in the likeliest other noise, and what makes one of the other.
+
+    Both begin with the path through modes, or with what predicts best, as is likelier.
+    """
+    late = of_late_inputs(channels, search) if search.assumptions.inputs_may_be_late(channels) else None
+    begun = in_prevailing_noise(channels, search) if start is None and late is None else None
+    if begun is not None and begun.stands:
+        return begun.fit, begun.forced, _noise_beside(begun.fit, path, search, start)
+    fit = _or_likelier(late or search.along(path, channels), path, search, start)
+    in_noise = _noise_beside(fit, path, search, start)
+    forced = fit if fit.interrupted else in_noise(fit)
+    if begun is None or forced.interrupted or begun.forced.criteria.bic >= min(fit.criteria.bic, forced.criteria.bic):
+        return fit, forced, in_noise
+    return begun.fit, begun.forced, in_noise
+
+
+def _or_in_own_noise(fit: FreeFit, forced: FreeFit, path: FreePath, search: Search) -> tuple[FreeFit, FreeFit]:
+    """Return both fits in the noise of each output that the errors of the latter show, if that is likelier."""
+    if not forced.own_noise:
+        return fit, forced
+    if forced.beside is None:
+        if not search.automatic or fit.noise:
+            return fit, forced
+        slow = _in_slow_noise(fit, forced.own_noise, path, search)
+        return slow, slow
+    likelier = likelier_in_own_noise(forced, search) if forced.beside.is_coloured else None
+    return (fit, forced) if likelier is None else (likelier, likelier)
 
 
 def _in_slow_noise(fit: FreeFit, filters: tuple[Array, ...], path: FreePath, search: Search) -> FreeFit:
