@@ -7,15 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from ..exceptions import StructureError
-from .files import source_name
-from .frequency_csv import COLUMNS, UNITS, is_frequency_table, response_in, selected_channels
+from .files import read_bytes, source_name
+from .frequency_csv import COLUMNS, UNITS, are_labels_of_response, is_frequency_table, response_in, selected_channels
 from .matlab_tables import read_frequency_mat, read_mat
-from .text_table import read_table
+from .tables.text_table import TextOptions, read_table
 from .time_csv import recording_in
 from .touchstone import is_touchstone, read_touchstone
 from .universal_file import SUFFIXES, read_uff
 
 _IN_TIME = ("input", "output", "time", "dt")
+_IN_TEXT = ("header", "delimiter", "decimal", "skiprows", "comment")
 _IN_FREQUENCY = (*COLUMNS, *UNITS, "weights")
 
 
@@ -49,8 +50,10 @@ def measured(source: Any, options: Mapping[str, Any]) -> tuple[list[Any], Any]:
 
 
 def _in_table(source: Any, given: Mapping[str, Any]) -> tuple[list[Any], Any]:
-    table = read_table(source, *(given.get(key) for key in ("header", "delimiter", "decimal")))
+    options = TextOptions(*(given.get(key) for key in _IN_TEXT))
     told, contrary = ([key for key in keys if key in given] for keys in (_IN_FREQUENCY, _IN_TIME))
+    wanted = None if contrary else are_labels_of_response
+    table = read_table(read_bytes(source), source_name(source), options, wanted)
     if told and contrary:
         raise StructureError(
             f"{told[0]}= is for frequency responses and {contrary[0]}= for recordings in time; give one"

@@ -11,7 +11,7 @@ import numpy as np
 from ... import _checks
 from ..._display import counted
 from ...exceptions import StructureError
-from ...io.text_table import is_time_label
+from ...io.tables.columns import is_time_label
 
 QUANTITIES = ("displacement", "free", "velocity", "acceleration")
 _WORDS = {
