@@ -45,7 +45,14 @@ _LABELS = {
         *(f"|{letter}|" for letter in "ghzy"),
     ),
     "phase": ("phase", "phi", "arg", "angle"),
-    "real": ("re", "real", "real part", "zreal", *(f"{part}({letter})" for part in ("re", "real") for letter in "ghzy"), "z'"),
+    "real": (
+        "re",
+        "real",
+        "real part",
+        "zreal",
+        *(f"{part}({letter})" for part in ("re", "real") for letter in "ghzy"),
+        "z'",
+    ),
     "imag": (
         "im",
         "imag",
@@ -215,7 +222,9 @@ def _columns_of(table: Table, given: Mapping[str, Any]) -> tuple[int, list[Any],
     if len(asked) > 1:
         raise StructureError("magnitude or phase is given, and real or imag too; give one pair of them")
     places: dict[str, Any] = {
-        role: table.only(_labelled(table.labels or (), role), role) if given[role] is None else _found(table, given[role], role)
+        role: table.only(_labelled(table.labels or (), role), role)
+        if given[role] is None
+        else _found(table, given[role], role)
         for role in _LABELS
     }
     wanted = asked or [pair for pair in _PAIRS if all(places[role] is not None for role in pair)]

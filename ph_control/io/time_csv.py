@@ -188,14 +188,20 @@ def _time_column(table: Table, time: Any, step: float | None) -> int | None:
 
 def _proposed_time(table: Table) -> str:
     """Argument that a message proposes for the time: a step that the file tells, else a column that rises evenly."""
-    step = table.proposed_step()
-    if step is not None:
-        return f"; for example dt={step:.9g}"
-    for column in filter(table.holds_numbers, range(table.width)):
+    step, columns = table.proposed_step(), [j for j in range(table.width) if table.holds_numbers(j)]
+    for column in columns:
         with suppress(FileFormatError, StructureError):
-            _checks.time_vector(table.columns([column])[0])
-            return f"; for example time={table.key(column)!r}"
-    return ""
+            instants = table.columns([column])[0]
+            _checks.time_vector(instants)
+            if step is None or abs(instants[1] - instants[0] - step) < 0.01 * step:
+                return f"; for example time={table.key(column)!r}"
+            # beside a step that the file tells, numbers that rise evenly number the rows
+            outputs = [table.key(j) for j in columns if j != column]
+            if outputs:
+                return (
+                    f"; for example dt={step:.9g}, input=False, output={outputs[0] if len(outputs) == 1 else outputs!r}"
+                )
+    return "" if step is None else f"; for example dt={step:.9g}"
 
 
 def _signal_columns(table: Table, clock: int | None, input: Any, output: Any) -> tuple[list[int], list[int]]:

@@ -20,7 +20,9 @@ _TIME_LABELS = frozenset(
     ["time", "times", "timestamp", "datetime", "timestamputc", "elapsedtime", "unixtime", "epoch", "zeitstempel"]
 )
 # of other languages, which are taken for a time beside a unit only
-_TIME_WORDS = frozenset(["zeit", "temps", "tiempo", "tempo", "tijd", "tid", "czas", "aika", "idő", "время", "时间", "時間"])
+_TIME_WORDS = frozenset(
+    ["zeit", "temps", "tiempo", "tempo", "tijd", "tid", "czas", "aika", "idő", "время", "时间", "時間"]
+)
 _SUFFIX = re.compile(r"(.+?)(?:\s*[/,_]\s*|\s+in\s+|\s+)([^\W\d_]+|rad_s)")  # a unit without brackets
 _X_VALUE = "xvalue"  # the time of LabVIEW's text files, in seconds
 _EPOCHS = {"s": (1e9, 1e10), "ms": (1e12, 1e13), "us": (1e15, 1e16), "ns": (1e18, 1e19)}  # 2001 to 2286
@@ -55,6 +57,10 @@ class Table:
     def holds_numbers(self, column: int) -> bool:
         """Whether a column may be a signal."""
         raise NotImplementedError
+
+    def is_empty(self, column: int) -> bool:
+        """Whether a column has no value in the first and in the last row."""
+        return False
 
     def holds_dates(self, column: int) -> bool:
         """Whether a column holds dates or times of day."""
@@ -144,7 +150,8 @@ class Table:
 
     def time_columns(self, needed: bool) -> list[int]:
         """Columns that may be the time: by label, else by times of day, else, where `needed`, by a unit of time."""
-        labels = list(enumerate(self.labels or ()))
+        # a time that is declared and left empty, as of files with a step above the table, is none
+        labels = [(j, label) for j, label in enumerate(self.labels or ()) if not self.is_empty(j)]
         clocks = self.clock_columns()
         named = [j for j, label in labels if is_time_label(label)]
         # beside a column of dates, or one of numbers since the start, both may be called time

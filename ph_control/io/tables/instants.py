@@ -17,7 +17,7 @@ _DATE = (
 )
 _CLOCK = re.compile(
     rf"(?:{_DATE}(?:\s*[T,]\s*|\s+))?"
-    r"(?:(?P<h>\d{1,4}):(?P<min>\d{2})(?::(?P<s>\d{2})(?:[.,:](?P<f>\d{1,12}))?)?|(?P<min2>\d{1,4}):(?P<s2>\d{2})[.,]"
+    r"(?:(?P<h>\d{1,4}):(?P<min>[0-5]\d)(?::(?P<s>[0-5]\d)(?:[.,:](?P<f>\d{1,12}))?)?|(?P<min2>\d{1,4}):(?P<s2>[0-5]\d)[.,]"
     r"(?P<f2>\d{1,12}))(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?(?:\s*(?:Z|UTC|GMT|(?P<zone>[+-]\d{2}:?(?:\d{2})?)))?"
 )
 _DURATION = re.compile(r"([+-]?[0-9]+(?:[.,][0-9]*)?(?:[eE][+-]?[0-9]+)?)\s*([^\W\d_]+)")
@@ -61,9 +61,7 @@ def seconds_since_first(fields: Sequence[str]) -> tuple[Array, int | None]:
     return np.array([(instant - best[0]) / 1e9 for instant in best]), None
 
 
-def _nanoseconds(
-    matches: Sequence[re.Match[str] | None], dated: bool, day_first: bool
-) -> tuple[list[int], int | None]:
+def _nanoseconds(matches: Sequence[re.Match[str] | None], dated: bool, day_first: bool) -> tuple[list[int], int | None]:
     """Nanoseconds of instants, and the first that is none, or has no date as the others have."""
     instants: list[int] = []
     for row, match in enumerate(matches):
@@ -102,7 +100,9 @@ def _time_of_day(match: re.Match[str]) -> int:
         zone = match["zone"].replace(":", "")
         sign = -1 if zone[0] == "-" else 1
         hours, minutes = hours - sign * int(zone[1:3]), minutes - sign * int(zone[3:] or 0)
-    return (hours * 3600 + minutes * 60 + seconds) * 10**9 + round(int(fraction or 0) * 10.0 ** (9 - len(fraction or "")))
+    return (hours * 3600 + minutes * 60 + seconds) * 10**9 + round(
+        int(fraction or 0) * 10.0 ** (9 - len(fraction or ""))
+    )
 
 
 def _carry_midnights(instants: list[int]) -> None:

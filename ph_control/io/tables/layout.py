@@ -79,7 +79,9 @@ class _Shape:
 def content_of(lines: Sequence[str], comments: tuple[str, ...], blanks: str | None = None) -> list[int]:
     """Indices of the lines that are neither blank nor comments."""
     return [
-        k for k, line in enumerate(lines) if line.strip(blanks) and not (comments and line.lstrip().startswith(comments))
+        k
+        for k, line in enumerate(lines)
+        if line.strip(blanks) and not (comments and line.lstrip().startswith(comments))
     ]
 
 
@@ -124,30 +126,30 @@ def find_layout(
         delimiter = " " if delimiter.isspace() and delimiter != "\t" else delimiter
         layouts = [(delimiter, sign) for sign in ".," if decimal in (None, sign)]
 
-    def score(layout: tuple[str, str]) -> tuple[int, int]:
-        letters = "".join(kinds(split(row, layout[0]), layout[1]) for row in sample)
-        return letters.count("n"), -letters.count("t")
+    def score(layout: tuple[str, str]) -> tuple[int, int, int]:
+        rows = [kinds(split(row, layout[0]), layout[1]) for row in sample]
+        letters = "".join(rows)
+        # a number among many words is one of the preamble
+        numbers = sum(row.count("n") for row in rows if row.count("n") > row.count("t"))
+        return numbers, 0 if numbers else letters.count("n"), -letters.count("t")
 
     best = max(layouts, key=score)
-    if delimiter is None and not score(best)[0]:
+    if delimiter is None and not any(score(best)[:2]):
         # no numbers at all: only the words for the error are at stake
         best = next((sign for sign in (";", "\t", ",") if sign in sample[0]), " "), decimal or "."
     return Layout(*best, comments)
 
 
 def find_bodies(lines: Sequence[str], content: Sequence[int], layout: Layout, header: bool | None) -> list[Body]:
-    """Tables in a file, that of the most rows first."""
+    """Tables in a file, that of the most numbers first."""
     step = max(1, len(content) // _LINES)
     places = sorted({*range(0, len(content), step), *range(min(_SAMPLE, len(content)))})
     letters = [kind for kind in (layout.kinds(lines[content[k]]) for k in places) if "n" in kind]
-    widths = Counter(map(len, letters))
-    bodies = []
-    for width, _ in widths.most_common(4):
-        rows = [kind for kind in letters if len(kind) == width]
-        numeric = (j for j in range(width) if 2 * sum(kind[j] == "t" for kind in rows) < len(rows))
-        body = _body(lines, content, layout, _Shape(width, tuple(numeric)), header)
-        bodies += [body] if body else []
-    return bodies
+    numbers: Counter[_Shape] = Counter()
+    for kind in letters:
+        numbers[_Shape(len(kind), tuple(j for j, letter in enumerate(kind) if letter != "t"))] += kind.count("n")
+    bodies = (_body(lines, content, layout, shape, header) for shape, _ in numbers.most_common(4))
+    return [body for body in bodies if body]
 
 
 def _body(
@@ -162,9 +164,10 @@ def _body(
     if first is None:
         return None
     last = next(k for k in reversed(range(len(content))) if shape.fits(letters(k)))
-    # words behind the table are left out; numbers of another layout are left to be refused
+    # what begins with words behind the table is left out; a row that is cut or wrong is left to be refused
     stop = len(content)
-    if last + 1 < stop and "n" not in letters(last + 1) and not _is_row_of_missing(letters(last + 1), shape.width):
+    place = shape.numeric[0] if shape.numeric else 0
+    if last + 1 < stop and len(letters(last + 1)) != shape.width and letters(last + 1)[place : place + 1] in ("t", ""):
         stop = last + 1
     # a row with numbers of which one is wrong is a row
     while first and "n" in (above := kinds(layout.words(lines[content[first - 1]]), layout.decimal)):
@@ -218,8 +221,11 @@ def _labels_above(
         return None, None
     place = _place_of_labels(rows)
     number, labels, _ = rows[place]
-    units = _units(rows[place - 1][1], [lines[k] for k in range(first, min(first + _SAMPLE, len(lines)))], layout) \
-        if place else None
+    units = (
+        _units(rows[place - 1][1], [lines[k] for k in range(first, min(first + _SAMPLE, len(lines)))], layout)
+        if place
+        else None
+    )
     if place and units is None:
         # words that are no units stay, to be refused
         return tuple(labels), number + 1
@@ -232,9 +238,13 @@ def _labels_above(
 
 def _place_of_labels(rows: Sequence[tuple[int, list[str], str]]) -> int:
     """Which of the lines of words above a table, the nearest first, holds the labels."""
-    nearest = rows[0][1]
-    if len(rows) > 1 and all(_unit(word) is not None for word in nearest):
-        return 1
+    if len(rows) > 1:
+        nearest, above = ([_unit(word) for word in words] for _, words, _ in rows[:2])
+        told = 0 if any(map(is_time_label, rows[0][1])) else sum(map(bool, nearest))
+        if None not in nearest or (
+            told and 2 * told >= sum(unit != "" for unit in nearest) and told > sum(map(bool, above))
+        ):
+            return 1
     known = (k for k, (_, words, letters) in enumerate(rows) if "n" not in letters and any(map(is_time_label, words)))
     return next(known, 0)
 
@@ -243,7 +253,8 @@ def _unit(word: str) -> str | None:
     """Unit that a field below a label tells, empty for none; None for a field that is no unit."""
     text = word.strip(' \t"')
     text = "" if text in ("-", "#") else re.sub(r"^(?:\[(.*)\]|\((.*)\))$", r"\1\2", text).strip()
-    known = not text or (len(text) <= 30 and any(UNIT.fullmatch(case) for case in (text, text.lower())))
+    spellings = [text, text.lower()] if text.isalpha() and len(text) > 2 else [text]
+    known = not text or (len(text) <= 30 and any(map(UNIT.fullmatch, spellings)))
     return text if known or known_unit(text) else None
 
 

@@ -93,9 +93,13 @@ class TextTable(Table):
         return [j for j, field in enumerate(self._first()) if is_instant(field)]
 
     def holds_numbers(self, column: int) -> bool:
-        """Whether the first field of a column is a number or a gap, and no instant."""
-        field = self._first()[column]
-        return not is_instant(field) and kinds([field], self.decimal) in ("n", "m")
+        """Whether the first and the last field of a column are numbers, and no instants."""
+        fields = [(split(row, self.delimiter) + [""])[column].strip() for row in (self.rows[0], self.rows[-1])]
+        return not any(map(is_instant, fields)) and kinds(fields, self.decimal) == "nn"
+
+    def is_empty(self, column: int) -> bool:
+        """Whether a column has no value in the first and in the last row."""
+        return not any((split(row, self.delimiter) + [""])[column].strip() for row in (self.rows[0], self.rows[-1]))
 
     def holds_dates(self, column: int) -> bool:
         """Whether the first field of a column is a date or a time of day."""
