@@ -164,7 +164,8 @@ def add_recording(parser: Parser) -> None:
     table = parser.add_argument_group(
         "recordings",
         "text tables: columns by name or number from 0, between commas, semicolons, tabs or spaces;\n"
-        "times of day and units are read; .tdms, .parquet, .wav; .mat, .h5: variables by name; .uff, .unv: places such as 3+Z",
+        "times of day and units are read; .tdms, .parquet, .wav;\n"
+        ".mat, .h5: variables by name; .uff, .unv: places such as 3+Z",
     )
     table.add_argument("--input", metavar="COLUMN", help="input column")
     table.add_argument("--output", metavar="COLUMN", help="output column")

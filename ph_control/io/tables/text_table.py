@@ -26,7 +26,6 @@ from .layout import (
     COMMENTS,
     MISSING,
     NUMBER,
-    Layout,
     Wanted,
     chosen_body,
     content_of,
@@ -94,12 +93,12 @@ class TextTable(Table):
 
     def holds_numbers(self, column: int) -> bool:
         """Whether the first and the last field of a column are numbers, and no instants."""
-        fields = [(split(row, self.delimiter) + [""])[column].strip() for row in (self.rows[0], self.rows[-1])]
+        fields = [[*split(row, self.delimiter), ""][column].strip() for row in (self.rows[0], self.rows[-1])]
         return not any(map(is_instant, fields)) and kinds(fields, self.decimal) == "nn"
 
     def is_empty(self, column: int) -> bool:
         """Whether a column has no value in the first and in the last row."""
-        return not any((split(row, self.delimiter) + [""])[column].strip() for row in (self.rows[0], self.rows[-1]))
+        return not any([*split(row, self.delimiter), ""][column].strip() for row in (self.rows[0], self.rows[-1]))
 
     def holds_dates(self, column: int) -> bool:
         """Whether the first field of a column is a date or a time of day."""
