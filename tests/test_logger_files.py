@@ -82,7 +82,10 @@ Zeit (s);Kraft (N);Beschl. (m/s2)
 0,001;2,0;0,25
 0,002;3,0;0,125
 """
-TESTLAB = "Test:\tRun 1\nPoint id\tshaker\tplate\nTime\tForce\tAcc\ns\tN\tm/s^2\n0.0\t1\t2\n0.00390625\t2\t3\n0.0078125\t3\t4\n"
+TESTLAB = (
+    "Test:\tRun 1\nPoint id\tshaker\tplate\nTime\tForce\tAcc\ns\tN\tm/s^2\n0.0\t1\t2\n0.00390625\t2\t3\n"
+    "0.0078125\t3\t4\n"
+)
 TOA5 = """"TOA5","CR1000","CR1000","12345","CR1000.Std.32","CPU:bridge.CR1","5432","Fast"
 "TIMESTAMP","RECORD","Strain","Temp"
 "TS","RN","uS","Deg C"
@@ -91,7 +94,10 @@ TOA5 = """"TOA5","CR1000","CR1000","12345","CR1000.Std.32","CPU:bridge.CR1","543
 "2026-11-27 00:00:00",1,12.4,22.1
 "2026-11-27 00:00:00.1",2,"NAN",22.2
 """
-PLC = "Zeitstempel;Sollwert;Istwert\n26.11.2026 12:00:00,250;1,0;0,5\n26.11.2026 12:00:00,500;1,0;0,75\n26.11.2026 12:00:00,750;1,5;0,9\n"
+PLC = (
+    "Zeitstempel;Sollwert;Istwert\n26.11.2026 12:00:00,250;1,0;0,5\n26.11.2026 12:00:00,500;1,0;0,75\n"
+    "26.11.2026 12:00:00,750;1,5;0,9\n"
+)
 PLC_MIDNIGHT = "Date,Time,Setpoint,Actual\n11/26/2026,23:59:58,1,2\n11/26/2026,23:59:59,2,3\n11/27/2026,00:00:00,3,4\n"
 ISO = "timestamp,u,y\n2026-11-26T12:00:00.1+01:00,1,2\n2026-11-26T12:00:00.2+01:00,2,3\n2026-11-26T11:00:00.3Z,3,4\n"
 HALF_DAY = "Time,Flow (l/min)\n11:59:59 AM,1\n12:00:00 PM,2\n12:00:01 PM,3\n"
@@ -121,7 +127,7 @@ Delta_X\t0.001\t0.001\t
 X_Value\tForce\tVoltage\tComment
 0.000\t0.1\t0.2\t
 0.001\t0.3\t0.4\t
-0.002\t0.4\t0.6\t
+0.002\t0.4\t0.5\t
 """
 LVM_WITHOUT_X = re.sub(r"(?m)^0\.00\d\t", "\t", LVM) + "\t0.7\t0.8\t\n\t0.9\t1.0\t\n"
 FRENCH = "Temps (s);Force (N);Déplacement (mm)\n0,0;1,5;2\n0,1;1,25;3\n0,2;1,0;4\n"
@@ -202,12 +208,12 @@ def test_values_stay_with_their_labels():
 def test_lines_above_the_table_can_be_left_out_by_number():
     text = "1,2\n3,4\nt,x\n0,5\n1,6\n"
     assert phc.read_csv(io.StringIO(text), skiprows=2, input=False).outputs.tolist() == [5, 6]
-    with pytest.raises(phc.FileFormatError, match=r"line 1 .*1 row|neither|words|'t' is not a number|skiprows"):
+    with pytest.raises(phc.FileFormatError, match=r"line 1 is neither a header nor .* pass skiprows=1 "):
         phc.read_csv(io.StringIO("Interval,2\n0,5\n1,6\n"), dt=1.0)
     assert phc.read_csv(io.StringIO("Interval,2\n0,5\n1,6\n"), dt=1.0, skiprows=1).outputs.tolist() == [5, 6]
     with pytest.raises(phc.StructureError, match="skiprows is -1"):
         phc.read_csv(io.StringIO(text), skiprows=-1)
-    with pytest.raises(phc.FileFormatError, match="no lines below the 9 that skiprows= leaves out|below the 6"):
+    with pytest.raises(phc.FileFormatError, match=r"no lines below the \d that skiprows= leaves out"):
         phc.read_csv(io.StringIO(text), skiprows=9)
     with pytest.raises(phc.StructureError, match="comment is 3; it must be the text"):
         phc.read_csv(io.StringIO(text), comment=3)
@@ -233,16 +239,24 @@ def test_instants_that_are_none_are_refused_with_their_line(content, message):
 BODE_100 = "Frequency (Hz),Trace 1: Gain: Magnitude (dB),Trace 1: Gain: Phase (°)\n10,20,90\n100,0,0\n"
 BODE_100_IMPEDANCE = "Frequency (Hz);Trace 1: Impedance: Real (Ω);Trace 1: Impedance: Imag (Ω)\n10;1,5;-2\n100;2,5;-1\n"
 KEYSIGHT_FRA = "#,Frequency (Hz),Amplitude (Vpp),Gain (dB),Phase (°)\n1,10,0.5,20,90\n2,100,0.5,0,0\n"
+GAMRY = (
+    "ZCURVE\tTABLE\n\tPt\tTime\tFreq\tZreal\tZimag\tZmod\n\t#\ts\tHz\tohm\tohm\tohm\n"
+    "\t0\t1\t10\t3\t-4\t5\n\t1\t3\t100\t1\t0\t1\n"
+)
+BIOLOGIC = (
+    "EC-Lab ASCII FILE\nNb header lines : 3\nfreq/Hz\tRe(Z)/Ohm\t-Im(Z)/Ohm\ttime/s\t\n10\t3\t4\t0\n100\t1\t0\t1\n"
+)
+ZPLOT = (
+    "ZPLOT2 ASCII\n  Data Points: 2\n  Freq(Hz)\tAmpl\tTime(Sec)\tZ'(a)\tZ''(b)\nEnd Comments\n"
+    "10\t1\t2\t3\t-4\n100\t1\t3\t1\t0\n"
+)
 RESPONSES = {
     "OMICRON Bode 100": (BODE_100, {}, [10j, 1.0]),
     "OMICRON impedance": (BODE_100_IMPEDANCE, {}, [1.5 - 2j, 2.5 - 1j]),
     "Keysight FRA": (KEYSIGHT_FRA, {"magnitude": "Gain"}, [10j, 1.0]),
-    "Gamry": ("ZCURVE\tTABLE\n\tPt\tTime\tFreq\tZreal\tZimag\tZmod\n\t#\ts\tHz\tohm\tohm\tohm\n\t0\t1\t10\t3\t-4\t5\n\t1\t3\t100\t1\t0\t1\n",
-              {}, [3 - 4j, 1.0]),
-    "BioLogic": ("EC-Lab ASCII FILE\nNb header lines : 3\nfreq/Hz\tRe(Z)/Ohm\t-Im(Z)/Ohm\ttime/s\t\n10\t3\t4\t0\n100\t1\t0\t1\n",
-                 {}, [3 - 4j, 1.0]),
-    "ZPlot": ("ZPLOT2 ASCII\n  Data Points: 2\n  Freq(Hz)\tAmpl\tTime(Sec)\tZ'(a)\tZ''(b)\nEnd Comments\n10\t1\t2\t3\t-4\n100\t1\t3\t1\t0\n",
-              {}, [3 - 4j, 1.0]),
+    "Gamry": (GAMRY, {}, [3 - 4j, 1.0]),
+    "BioLogic": (BIOLOGIC, {}, [3 - 4j, 1.0]),
+    "ZPlot": (ZPLOT, {}, [3 - 4j, 1.0]),
 }  # fmt: skip
 
 
@@ -276,7 +290,7 @@ def tdms(path: Path, steps=(0.001, 0.001)) -> None:
     with nptdms.TdmsWriter(str(path)) as writer:
         writer.write_segment(
             [
-                nptdms.ChannelObject("run", label, np.arange(3.0) + k, properties={"wf_increment": step, "unit_string": unit})
+                nptdms.ChannelObject("run", label, np.arange(3.0) + k, {"wf_increment": step, "unit_string": unit})
                 for k, (label, unit, step) in enumerate(zip(("force", "acc"), "Ng", steps, strict=True))
             ]
         )  # fmt: skip

@@ -95,10 +95,10 @@ def read_csv(
     -----
     Lines above the table are skipped, such as the settings that loggers and oscilloscopes write there; of several
     tables the longest is read.  Blank lines and lines that start with `#` or `%` are skipped; labels may be in such a
-    line right above the numbers.  Empty fields, NaN, NA, N/A, null, none, `-` and `?` are missing values.  Columns that are not asked
-    for may hold anything.  The instants may be off the grid by a hundredth of a step, as rounding in print makes
-    them; the step is the shortest decimal number, or rate, within the uncertainty of a straight line through them.
-    A few seconds for a million rows.
+    line right above the numbers.  Empty fields, NaN, NA, N/A, null, none, `-` and `?` are missing values.  Columns that
+    are not asked for may hold anything.  The instants may be off the grid by a hundredth of a step, as rounding in
+    print makes them; the step is the shortest decimal number, or rate, within the uncertainty of a straight line
+    through them.  A few seconds for a million rows.
 
     Examples
     --------

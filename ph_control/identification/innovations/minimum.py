@@ -125,8 +125,8 @@ def _beginning(state: Array, z: ComplexArray, samples: int) -> ComplexArray:
 def pieces(count: int, size: int, stride: int = 1) -> Iterator[slice]:
     """Slices of so many bins, each of which has a number of numbers; every `stride` of them."""
     every = stride * max(1, _AT_A_TIME // max(1, size))
-    alive("noise")
     for first in range(0, count, every):
+        alive("noise")
         yield slice(first, min(count, first + every), stride)
 
 

@@ -283,8 +283,8 @@ def _of_same_columns(finding: Finding, terms: _Terms) -> str:
 
 def _of_swapped(finding: Finding, terms: _Terms) -> str:
     return (
-        f"The columns of input and output are probably swapped: {finding.output} is the response by its spectrum, whose "
-        f"flatness is {finding.values[0]:.2g} beside {finding.values[1]:.2g}; exchange input= and output=."
+        f"The columns of input and output are probably swapped: {finding.output} is the response by its spectrum, "
+        f"whose flatness is {finding.values[0]:.2g} beside {finding.values[1]:.2g}; exchange input= and output=."
     )
 
 
@@ -485,7 +485,7 @@ _TOGETHER = {
     Cause.SATURATION: "{} outputs stay at an end of their range ({}). Of them:",
     Cause.POLARITY: "{} sensors oppose the force at their driving points ({}). Of them:",
     Cause.CHANGING_NOISE: "The noise of {} outputs changes ({}). The most so:",
-    Cause.DELAY: "{} outputs come later or earlier than the response to the inputs ({}); delay has them all. The most so:",
+    Cause.DELAY: "{} outputs come later or earlier than the response to the inputs ({}), by delay. The most so:",
     Cause.INPUT_DELAY: "{} inputs act later ({}); input_delay has them all. The first:",
 }
 
