@@ -78,7 +78,7 @@ def read_recording(
     >>> data.time.tolist(), data.inputs.tolist(), data.outputs.tolist()
     ([0.0, 0.000125], [0.0, 0.5], [0.25, -1.0])
     """
-    options = {"input": input, "output": output, "time": time, "dt": dt, "time_unit": time_unit}
+    options: dict[str, Any] = {"input": input, "output": output, "time": time, "dt": dt, "time_unit": time_unit}
     name = source_name(path)
     suffix = Path(name).suffix.casefold()
     if suffix in _MATLAB:

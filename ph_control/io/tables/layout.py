@@ -144,9 +144,9 @@ def find_bodies(lines: Sequence[str], content: Sequence[int], layout: Layout, he
     """Tables in a file, that of the most numbers first."""
     step = max(1, len(content) // _LINES)
     places = sorted({*range(0, len(content), step), *range(min(_SAMPLE, len(content)))})
-    letters = [kind for kind in (layout.kinds(lines[content[k]]) for k in places) if "n" in kind]
+    rows = [kind for kind in (layout.kinds(lines[content[k]]) for k in places) if "n" in kind]
     numbers: Counter[_Shape] = Counter()
-    for kind in letters:
+    for kind in rows:
         numbers[_Shape(len(kind), tuple(j for j, letter in enumerate(kind) if letter != "t"))] += kind.count("n")
     bodies = (_body(lines, content, layout, shape, header) for shape, _ in numbers.most_common(4))
     return [body for body in bodies if body]
@@ -186,9 +186,9 @@ def _body(
     rows = list(content[top:stop])
     if labels is None and header is not False and top == 1:
         # a single line above numbers whose fields are others in number, or in quotes that are left open
-        above = layout.words(lines[content[0]])
-        if len(above) > 1 or lines[content[0]].count('"') % 2:
-            labels = tuple(above)
+        headline = layout.words(lines[content[0]])
+        if len(headline) > 1 or lines[content[0]].count('"') % 2:
+            labels = tuple(headline)
     return Body(rows, labels)
 
 
