@@ -101,6 +101,7 @@ from .io.codecs import save as save
 from .io.frequency_csv import read_frequency_csv as read_frequency_csv
 from .io.matlab_tables import read_frequency_mat as read_frequency_mat
 from .io.matlab_tables import read_mat as read_mat
+from .io.measurements import read_recording as read_recording
 from .io.time_csv import read_csv as read_csv
 from .io.touchstone import read_touchstone as read_touchstone
 from .io.universal_file import read_uff as read_uff

@@ -18,7 +18,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "ph_control"
 # low to high; what lies in the package itself is below all folders
 ORDER = (
     "", "numerics", "symplectic", "modal", "systems", "structures", "equivalence", "analysis", "reduction",
-    "controllers", "plotting", "io", "circuits", "identification.data", "identification.regression",
+    "controllers", "plotting", "io.tables", "io", "circuits", "identification.data", "identification.regression",
     "identification.uncertainty", "identification.parameters", "identification.search",
     "identification.growth", "identification.moves",
     "identification.innovations", "identification.diagnosis", "identification.structure",

@@ -10,7 +10,7 @@ from importlib import import_module
 import ph_control as phc
 
 from .options import Parser
-from .outcome import EXIT_CODES, guarded
+from .outcome import EXIT_CODES, emit, guarded
 
 COMMANDS = {
     "demo": "identify three known plants from simulated recordings",
@@ -60,6 +60,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
+    if words[:1] == ["--print-completion"]:
+        from .completion import completion_script
+
+        emit(completion_script(words[1:], COMMANDS))
+        return 0
     place = next((k for k, word in enumerate(words) if not word.startswith("-")), len(words))
     command: str = _parser().parse(words[: place + 1]).command
     module = import_module(f".commands.{command.replace('-', '_')}", __name__)
@@ -77,7 +82,7 @@ def _plain(words: list[str]) -> list[str]:
 
 
 def _parser() -> Parser:
-    usage = "%(prog)s [--version] [--traceback] COMMAND ..."
+    usage = "%(prog)s [--version] [--traceback] COMMAND ...\n       %(prog)s --print-completion {bash,zsh,fish,...}"
     parser = Parser(_HELP, _EPILOG, prog="ph-control", usage=usage)
     version = getattr(phc, "__version__", "(not installed)")
     parser.add_argument("--version", action="version", version=f"%(prog)s {version}")

@@ -245,7 +245,7 @@ def coefficients_in(content: bytes, name: str) -> dict[str, list[float]]:
 
 def _named_texts(content: bytes, name: str) -> list[tuple[str, str, str]]:
     """Place, name and text of each list; two lines without names are num and den."""
-    from ..io.text_table import text_lines
+    from ..io.tables.text_table import text_lines
 
     numbered = [(k, _COMMENT.sub("", line).strip(" ")) for k, line in enumerate(text_lines(content, name), 1)]
     lines = [(k, line) for k, line in numbered if line.strip()]

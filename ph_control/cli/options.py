@@ -164,7 +164,8 @@ def add_recording(parser: Parser) -> None:
     table = parser.add_argument_group(
         "recordings",
         "text tables: columns by name or number from 0, between commas, semicolons, tabs or spaces;\n"
-        ".mat: variables by name; .uff, .unv: places such as 3+Z",
+        "times of day and units are read; .tdms, .parquet, .wav;\n"
+        ".mat, .h5: variables by name; .uff, .unv: places such as 3+Z",
     )
     table.add_argument("--input", metavar="COLUMN", help="input column")
     table.add_argument("--output", metavar="COLUMN", help="output column")
@@ -183,6 +184,10 @@ def add_recording(parser: Parser) -> None:
     table.add_argument(
         "--header", action=argparse.BooleanOptionalAction, help="whether the first row holds names (default: detected)"
     )
+    table.add_argument(
+        "--skiprows", type=int, metavar="COUNT", help="lines to leave out at the begin (default: the table is found)"
+    )
+    table.add_argument("--comment", metavar="TEXT", help="start of comment lines (default: # and %%)")
     response = parser.add_argument_group(
         "frequency responses",
         "tables with frequency, and magnitude and phase or real and imaginary part;\n.uff, .unv; Touchstone (.s1p, "

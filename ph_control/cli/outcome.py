@@ -42,6 +42,7 @@ _KEYWORD = re.compile(rf"\b({'|'.join(_KEYWORDS)})=(?:'([^']*)'|([\w.+-]*\w)?)")
 
 
 _OFTEN = 0.05  # seconds: reports that come sooner are not shown
+_IN_LINES = 4.0  # between lines in a file or a pipe
 
 
 class NoError(PHControlError):
@@ -72,13 +73,16 @@ def complain(message: str) -> None:
 class ProgressLine:
     """A line on standard error that tells how far long work is, and a bell that ends it.
 
-    The line is shown where somebody watches: after each report, and each second in between, with the time so far.
+    The line is shown where somebody watches: after each report, and each second in between, with the time so far.  With
+    `always` it is also written to files and pipes, as a line of its own every few seconds.
     """
 
-    def __init__(self, describe: Callable[[Any], str], timeout: float | None = None) -> None:
+    def __init__(self, describe: Callable[[Any], str], timeout: float | None = None, *, always: bool = False) -> None:
         self.describe, self.timeout = describe, timeout
         self.expired = False
-        self._watched = sys.stderr is not None and sys.stderr.isatty()
+        self._in_place = sys.stderr is not None and sys.stderr.isatty()
+        self._watched = self._in_place or (always and sys.stderr is not None)
+        self._often, self._pause = (_OFTEN, 1.0) if self._in_place else (_IN_LINES, _IN_LINES)
         self._text, self._shown, self._start = "at work", 0.0, time.monotonic()
         self._over = threading.Event()
         self._threads = [threading.Thread(target=one, daemon=True) for one in self._tasks()]
@@ -104,22 +108,26 @@ class ProgressLine:
         self._over.set()
         for one in self._threads:
             one.join()
-        if self._watched:
+        if self._in_place:
             _put("")
 
     def _report(self, progress: Any) -> None:
         self._text = self.describe(progress)
-        if time.monotonic() - self._shown > _OFTEN:
+        if time.monotonic() - self._shown > self._often:
             self._show()
 
     def _show(self) -> None:
         self._shown = time.monotonic()
         bound = "" if self.timeout is None else f" of at most {self.timeout:g}"
-        _put(f"{self._text}, {self._shown - self._start:.0f}{bound} s")
+        line = f"{self._text}, {self._shown - self._start:.0f}{bound} s"
+        if self._in_place:
+            _put(line)
+        else:
+            complain(line)
 
     def _tick(self) -> None:
         while not self._over.wait(1.0):
-            if time.monotonic() - self._shown >= 1.0:
+            if time.monotonic() - self._shown >= self._pause:
                 self._show()
 
     def _ring(self) -> None:

@@ -94,7 +94,7 @@ def _experiment_of(one: Any) -> dict[str, Any]:
 
 def is_described(result: Any) -> bool:
     """Whether the verdict leaves a model standing."""
-    return bool(result.order) and result.outcome.leaves_a_model
+    return len(result.poles) > 0 and result.outcome.leaves_a_model
 
 
 # --- files -----------------------------------------------------------------------------------------------------------

@@ -15,7 +15,9 @@ from .. import _checks
 from .._types import Array, ComplexArray
 from .._units import with_unit
 from ..exceptions import StructureError, printable
-from .text_table import Table, is_time_label, name_and_unit, read_table
+from .files import read_bytes, source_name
+from .tables.columns import Table, is_time_label, name_and_unit
+from .tables.text_table import TextOptions, read_table
 
 Column = int | str
 Columns = Column | Sequence[Column] | Sequence[Sequence[Column]]
@@ -43,10 +45,18 @@ _LABELS = {
         *(f"|{letter}|" for letter in "ghzy"),
     ),
     "phase": ("phase", "phi", "arg", "angle"),
-    "real": ("re", "real", "real part", *(f"{part}({letter})" for part in ("re", "real") for letter in "ghzy"), "z'"),
+    "real": (
+        "re",
+        "real",
+        "real part",
+        "zreal",
+        *(f"{part}({letter})" for part in ("re", "real") for letter in "ghzy"),
+        "z'",
+    ),
     "imag": (
         "im",
         "imag",
+        "zimag",
         "imaginary",
         "imaginary part",
         *(f"{part}({letter})" for part in ("im", "imag") for letter in "ghzy"),
@@ -82,6 +92,8 @@ def read_frequency_csv(
     header: bool | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
+    skiprows: int | None = None,
+    comment: str | None = None,
 ) -> FrequencyResponseData:
     r"""Read a measured frequency response from a text table: frequency, and magnitude and phase or both parts.
 
@@ -101,7 +113,7 @@ def read_frequency_csv(
         Default: dB if the label says so.
     phase_unit : {'deg', 'rad'}, optional
         Default: the unit in the label; otherwise it must be given.
-    header, delimiter, decimal
+    header, delimiter, decimal, skiprows, comment
         As in `read_csv`.
 
     Returns
@@ -137,7 +149,9 @@ def read_frequency_csv(
     """
     columns = {"frequency": frequency, "magnitude": magnitude, "phase": phase, "real": real, "imag": imag}
     units = {"frequency_unit": frequency_unit, "magnitude_unit": magnitude_unit, "phase_unit": phase_unit}
-    return response_in(read_table(path, header, delimiter, decimal), columns, units)[0]
+    options = TextOptions(header, delimiter, decimal, skiprows, comment)
+    table = read_table(read_bytes(path), source_name(path), options, are_labels_of_response)
+    return response_in(table, columns, units)[0]
 
 
 def response_in(
@@ -189,9 +203,14 @@ def selected_channels(
 
 def is_frequency_table(table: Table) -> bool:
     """Whether the labels of a table are those of a frequency response, and none is that of a time."""
-    named = {role for role in _LABELS if len(_labelled(table, role)) == 1}
-    parts = any({"frequency", *pair} <= named for pair in _PAIRS)
-    return parts and not any(map(is_time_label, table.labels or ()))
+    return are_labels_of_response(table.labels or ())
+
+
+def are_labels_of_response(labels: Sequence[str]) -> bool:
+    """Whether labels are those of a frequency response; beside a time both parts must be there, as of impedances."""
+    named = {role for role in _LABELS if len(_labelled(labels, role)) == 1}
+    timed = any(map(is_time_label, labels))
+    return any({"frequency", *pair} <= named for pair in ((_CARTESIAN,) if timed else _PAIRS))
 
 
 # --- columns -----------------------------------------------------------------------------------------------------
@@ -203,7 +222,9 @@ def _columns_of(table: Table, given: Mapping[str, Any]) -> tuple[int, list[Any],
     if len(asked) > 1:
         raise StructureError("magnitude or phase is given, and real or imag too; give one pair of them")
     places: dict[str, Any] = {
-        role: table.only(_labelled(table, role), role) if given[role] is None else _found(table, given[role], role)
+        role: table.only(_labelled(table.labels or (), role), role)
+        if given[role] is None
+        else _found(table, given[role], role)
         for role in _LABELS
     }
     wanted = asked or [pair for pair in _PAIRS if all(places[role] is not None for role in pair)]
@@ -242,8 +263,9 @@ def _found(table: Table, given: Any, role: str) -> Any:
     return np.array([[table.find(one, role) for one in row] for row in rows])
 
 
-def _labelled(table: Table, role: str) -> list[int]:
-    labels = [name_and_unit(label, _spelled)[0].casefold() for label in table.labels or ()]
+def _labelled(columns: Sequence[str], role: str) -> list[int]:
+    # `Trace 1: Gain: Magnitude (dB)` of network analysers
+    labels = [name_and_unit(label.rpartition(": ")[2], _spelled)[0].casefold() for label in columns]
     signed = _LABELS[role] if role in ("phase", "real", "imag") else ()
     return [k for k, label in enumerate(labels) if label in _LABELS[role] or _MINUS.sub("", label) in signed]
 

@@ -176,7 +176,8 @@ def _hdf5_variables(content: bytes, name: str) -> dict[str, Any]:
         import h5py
     except ImportError:
         raise MissingPackageError(
-            f"{name} is of version 7.3, read by h5py, which is not installed: pip install 'ph_control[formats]', or "
+            f"{name} is HDF5, or of version 7.3 of MATLAB, read by h5py, which is not installed: "
+            "pip install 'ph_control[formats]', or "
             "save the file in MATLAB with the option '-v7'"
         ) from None
     with h5py.File(io.BytesIO(content), "r") as file:

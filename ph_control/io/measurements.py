@@ -2,21 +2,99 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
+
+from control import TimeResponseData
 
 from ..exceptions import StructureError
-from .files import source_name
-from .frequency_csv import COLUMNS, UNITS, is_frequency_table, response_in, selected_channels
+from .files import read_bytes, source_name
+from .frequency_csv import COLUMNS, UNITS, are_labels_of_response, is_frequency_table, response_in, selected_channels
 from .matlab_tables import read_frequency_mat, read_mat
-from .text_table import read_table
+from .tables.recorders import READERS, read_array_table
+from .tables.text_table import TextOptions, read_table
 from .time_csv import recording_in
 from .touchstone import is_touchstone, read_touchstone
 from .universal_file import SUFFIXES, read_uff
 
 _IN_TIME = ("input", "output", "time", "dt")
+_IN_TEXT = ("header", "delimiter", "decimal", "skiprows", "comment")
 _IN_FREQUENCY = (*COLUMNS, *UNITS, "weights")
+
+
+_MATLAB = (".mat", ".h5", ".hdf5")  # version 7.3 of MATLAB is HDF5
+
+
+def read_recording(
+    path: str | os.PathLike[str] | BinaryIO,
+    *,
+    input: int | str | Sequence[int | str] | bool | None = None,
+    output: int | str | Sequence[int | str] | None = None,
+    time: int | str | bool | None = None,
+    dt: float | None = None,
+    time_unit: str | None = None,
+) -> TimeResponseData:
+    r"""Read a recording from a file of a logger, its kind told by the suffix.
+
+    Parameters
+    ----------
+    path : str, path-like, or file object open for reading bytes
+        `.tdms` (LabVIEW), `.parquet`, `.wav`, `.h5`, `.hdf5` or `.mat`; all others, `.lvm` and `.csv` among them, are
+        text tables.
+    input, output, time, dt, time_unit
+        As in `read_csv`; of HDF5 and MATLAB files as in `read_mat`, with names such as `"run/force"` or `"run.force"`.
+
+    Returns
+    -------
+    control.TimeResponseData
+        As `read_csv` gives it.  Channels of TDMS have the step and the units that the file tells, of several groups
+        `group/channel`; those of WAV are called `channel 1`, ..., with full scale 1.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is damaged or of another kind, or its sampling is not uniform.
+    StructureError
+        If the arguments do not fit the file; the message lists the columns and proposes a choice.
+    MissingPackageError
+        If nptdms, pyarrow or h5py is not installed; `pip install "ph_control[formats]"` brings them.
+    FileMissingError
+        If there is no such file.
+
+    See Also
+    --------
+    read_csv : text tables, with options for their layout.
+    read_uff, read_mat : universal files, MATLAB files.
+
+    Examples
+    --------
+    >>> import io, numpy as np, scipy.io.wavfile, ph_control as phc
+    >>> file = io.BytesIO()
+    >>> scipy.io.wavfile.write(file, 8000, np.array([[0, 8192], [16384, -32768]], dtype=np.int16))
+    >>> file.name = "bell.wav"
+    >>> data = phc.read_recording(file, input="channel 1", output="channel 2")
+    >>> data.time.tolist(), data.inputs.tolist(), data.outputs.tolist()
+    ([0.0, 0.000125], [0.0, 0.5], [0.25, -1.0])
+    """
+    options: dict[str, Any] = {"input": input, "output": output, "time": time, "dt": dt, "time_unit": time_unit}
+    name = source_name(path)
+    suffix = Path(name).suffix.casefold()
+    if suffix in _MATLAB:
+        return read_mat(
+            path, **{key: _dotted(value) if key in _IN_TIME[:3] else value for key, value in options.items()}
+        )
+    if suffix in READERS:
+        return recording_in(read_array_table(read_bytes(path), name, suffix), **options)
+    return recording_in(read_table(read_bytes(path), name, TextOptions()), **options)
+
+
+def _dotted(names: Any) -> Any:
+    """Names of variables with a dot, as `read_mat` takes them, for paths of HDF5."""
+    if isinstance(names, list | tuple):
+        return [_dotted(name) for name in names]
+    return names.strip("/").replace("/", ".") if isinstance(names, str) else names
 
 
 def read_measurements(path: str | Path) -> Any:
@@ -38,7 +116,10 @@ def measured(source: Any, options: Mapping[str, Any]) -> tuple[list[Any], Any]:
         columns, rows = ([one] if isinstance(one, str) else one or None for one in (input, output))
         network = read_touchstone(source, parameter=given.get("parameter", "Z"))
         return [selected_channels(network, columns, rows, name)], None
-    if suffix != ".mat":
+    if suffix in READERS:
+        table = read_array_table(read_bytes(source), name, suffix)
+        return [recording_in(table, *(given.get(key) for key in (*_IN_TIME, "time_unit")))], None
+    if suffix not in _MATLAB:
         return _in_table(source, given)
     if "frequency" not in given:
         return [read_mat(source, **{key: given[key] for key in (*_IN_TIME, "time_unit") if key in given})], None
@@ -49,8 +130,10 @@ def measured(source: Any, options: Mapping[str, Any]) -> tuple[list[Any], Any]:
 
 
 def _in_table(source: Any, given: Mapping[str, Any]) -> tuple[list[Any], Any]:
-    table = read_table(source, *(given.get(key) for key in ("header", "delimiter", "decimal")))
+    options = TextOptions(*(given.get(key) for key in _IN_TEXT))
     told, contrary = ([key for key in keys if key in given] for keys in (_IN_FREQUENCY, _IN_TIME))
+    wanted = None if contrary else are_labels_of_response
+    table = read_table(read_bytes(source), source_name(source), options, wanted)
     if told and contrary:
         raise StructureError(
             f"{told[0]}= is for frequency responses and {contrary[0]}= for recordings in time; give one"

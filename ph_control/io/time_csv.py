@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
@@ -15,7 +16,9 @@ from .._types import Array
 from .._units import checked_unit, with_unit
 from ..analysis.time_grid import printed_step
 from ..exceptions import FileFormatError, StructureError, printable
-from .text_table import Table, is_time_label, read_table, unit_of_time
+from .files import read_bytes, source_name
+from .tables.columns import Table
+from .tables.text_table import TextOptions, read_table
 
 Column = int | str
 
@@ -34,6 +37,8 @@ def read_csv(
     header: bool | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
+    skiprows: int | None = None,
+    comment: str | None = None,
 ) -> TimeResponseData:
     r"""Read a recording from a text table (CSV, TSV or columns between white space).
 
@@ -48,7 +53,9 @@ def read_csv(
         Default: the one remaining column; with neither given and two columns left, the first is the input and the
         second the output.
     time : str, int or False, optional
-        Column of the time.  Default: the one labelled `t`, `time`, `timestamp` or the like, with or without unit.
+        Column of the time: numbers, times of day (`12:00:01.250`), dates with times of day in ISO 8601 or as usual in
+        Europe and the United States, or durations (`0.5 sec`).  Default: the one labelled `t`, `time`, `timestamp` or
+        the like, else the one with times of day, else the only one with a unit of time, as `Zeit [s]`.
         `time=False` says that no column is the time, and needs `dt`.
     dt : float, optional
         Time between samples.  Needed if there is no time column; if there is one, the two must agree.
@@ -61,14 +68,18 @@ def read_csv(
         Separator of the fields; `" "` is any white space.  Default: found from the first rows.
     decimal : {".", ","}, optional
         Decimal sign.  Default: found from the rows.
+    skiprows : int, optional
+        Lines at the begin of the file to leave out.  Default: the table is found below any preamble.
+    comment : str, optional
+        Start of lines that are comments, such as `"//"`; `""` for none.  Default: `#` and `%`.
 
     Returns
     -------
     control.TimeResponseData
         `time` (N,), `inputs` and `outputs` as python-control squeezes them, with the labels of the columns.  The
         time is the exactly uniform grid through the instants in the file, in their unit, which its attribute
-        `time_unit` tells: nothing is converted, so a fit to a file in ms has its frequencies in rad/ms, and tells
-        them in Hz too.  Missing outputs are NaN.
+        `time_unit` tells: numbers are not converted, so a fit to a file in ms has its frequencies in rad/ms, and tells
+        them in Hz too.  Times of day are seconds since the first row.  Missing outputs are NaN.
 
     Raises
     ------
@@ -82,11 +93,12 @@ def read_csv(
 
     Notes
     -----
-    Blank lines and lines that start with `#` or `%` are skipped; labels may be in such a line right above the
-    numbers.  Empty fields, NaN, NA, N/A, null, none, `-` and `?` are missing values.  Columns that are not asked
-    for may hold anything.  The instants may be off the grid by a hundredth of a step, as rounding in print makes
-    them; the step is the shortest decimal number, or rate, within the uncertainty of a straight line through them.
-    A few seconds for a million rows.
+    Lines above the table are skipped, such as the settings that loggers and oscilloscopes write there; of several
+    tables the longest is read.  Blank lines and lines that start with `#` or `%` are skipped; labels may be in such a
+    line right above the numbers.  Empty fields, NaN, NA, N/A, null, none, `-` and `?` are missing values.  Columns that
+    are not asked for may hold anything.  The instants may be off the grid by a hundredth of a step, as rounding in
+    print makes them; the step is the shortest decimal number, or rate, within the uncertainty of a straight line
+    through them.  A few seconds for a million rows.
 
     Examples
     --------
@@ -100,28 +112,29 @@ def read_csv(
     >>> data.output_labels, data.time_unit
     (['velocity [m/s]'], 's')
     """
-    return recording_in(read_table(path, header, delimiter, decimal), input, output, time, dt, time_unit)
+    options = TextOptions(header, delimiter, decimal, skiprows, comment)
+    return recording_in(read_table(read_bytes(path), source_name(path), options), input, output, time, dt, time_unit)
 
 
 def recording_in(table: Table, input: Any, output: Any, time: Any, dt: Any, time_unit: Any) -> TimeResponseData:
     """Recording that a table holds; the arguments are those of `read_csv`."""
     step, unit = None if dt is None else _checks.sampling_step(dt), checked_unit(time_unit)
+    if step is None and time in (None, False) and table.step is not None:
+        time, step, unit = False, table.step, unit or "s"
     clock = _time_column(table, time, step)
     inputs, outputs = _signal_columns(table, clock, input, output)
-    if len(table.rows) < 2:
-        raise FileFormatError(
-            f"{table.path} has one row of numbers (line {table.line_numbers[0]}); at least two samples are needed"
-        )
-    values = table.columns([*([] if clock is None else [clock]), *inputs, *outputs])
+    if table.count < 2:
+        raise FileFormatError(f"{table.path} has one row of numbers ({table.line(0)}); at least two samples are needed")
     missing = "{} is missing, and only outputs may be: fill it in, or cut the recording there"
     if clock is None:
         assert step is not None
-        grid = step * np.arange(len(table.rows), dtype=float)
+        grid = step * np.arange(table.count, dtype=float)
     else:
-        instants, values = values[0], values[1:]
+        instants, own_unit = table.instants(clock)
         table.refuse(clock, np.isnan(instants), missing.format("the time"))
         grid = _uniform_grid(table, instants, clock, step)
-        unit = unit_of_time(table.labels[clock]) if unit is None and table.labels else unit
+        unit = own_unit if unit is None else unit
+    values = table.columns([*inputs, *outputs])
     u, y = values[: len(inputs)], values[len(inputs) :]
     for column, signal in zip(inputs, u, strict=True):
         table.refuse(column, np.isnan(signal), missing.format("the input"))
@@ -164,14 +177,31 @@ def _time_column(table: Table, time: Any, step: float | None) -> int | None:
     """Number of the time column, or None where `dt` takes its place."""
     if time is not None and time is not False:
         return table.find(time, "time")
-    found = [] if time is False else [j for j in range(table.width) if table.labels and is_time_label(table.labels[j])]
-    clock = table.only(found, "time")
+    clock = table.only([] if time is False else table.time_columns(step is None), "time")
     if clock is None and step is None:
         raise StructureError(
             f"{table.path}: no column is the time; name it with time=, or give the time between samples with dt= "
-            f"({table.listing()})"
+            f"({table.listing()}){_proposed_time(table)}"
         )
     return clock
+
+
+def _proposed_time(table: Table) -> str:
+    """Argument that a message proposes for the time: a step that the file tells, else a column that rises evenly."""
+    step, columns = table.proposed_step(), [j for j in range(table.width) if table.holds_numbers(j)]
+    for column in columns:
+        with suppress(FileFormatError, StructureError):
+            instants = table.columns([column])[0]
+            _checks.time_vector(instants)
+            if step is None or abs(instants[1] - instants[0] - step) < 0.01 * step:
+                return f"; for example time={table.key(column)!r}"
+            # beside a step that the file tells, numbers that rise evenly number the rows
+            outputs = [table.key(j) for j in columns if j != column]
+            if outputs:
+                return (
+                    f"; for example dt={step:.9g}, input=False, output={outputs[0] if len(outputs) == 1 else outputs!r}"
+                )
+    return "" if step is None else f"; for example dt={step:.9g}"
 
 
 def _signal_columns(table: Table, clock: int | None, input: Any, output: Any) -> tuple[list[int], list[int]]:
@@ -183,7 +213,7 @@ def _signal_columns(table: Table, clock: int | None, input: Any, output: Any) ->
     chosen["output"] = _chosen(table, output, "output")
     taken = [*([] if clock is None else [clock]), *(chosen["input"] or []), *(chosen["output"] or [])]
     table.refuse_repeats(taken)
-    rest = [j for j in range(table.width) if j not in taken]
+    rest = [j for j in range(table.width) if j not in taken and not table.holds_dates(j)]
     missing = [name for name, columns in chosen.items() if columns is None]
     if missing and len(rest) != len(missing):
         few = "input" in missing and len(rest) < len(missing)
@@ -192,10 +222,23 @@ def _signal_columns(table: Table, clock: int | None, input: Any, output: Any) ->
         raise StructureError(
             f"{table.path}: which column is the {' and which the '.join(missing)}? {len(rest)} of {table.width} "
             f"columns are left to choose from; say which with {' and '.join(f'{name}=' for name in missing)}{free}"
-            f"{several} ({table.listing()})"
+            f"{several} ({table.listing()}){_proposed_signals(table, rest, missing)}"
         )
     found = {**chosen, **{name: [column] for name, column in zip(missing, rest, strict=False)}}
     return found["input"] or [], found["output"] or []
+
+
+def _proposed_signals(table: Table, rest: list[int], missing: list[str]) -> str:
+    """Arguments that a message proposes for the signals."""
+    keys = [table.key(j) for j in rest if table.holds_numbers(j)]
+    if not keys:
+        return ""
+    proposed = {"input": keys[0], "output": keys[1] if len(keys) == 2 else keys[1:4]}
+    if len(keys) == 1 or "input" not in missing:
+        proposed = {"input": False, "output": keys[0]}
+    elif "output" not in missing:
+        proposed = {"input": keys[0]}
+    return "; for example " + ", ".join(f"{role}={proposed[role]!r}" for role in missing if role in proposed)
 
 
 def _chosen(table: Table, wanted: Any, role: str) -> list[int] | None:
@@ -233,11 +276,26 @@ def _uniform_grid(table: Table, instants: Array, column: int, dt: float | None) 
     return instants[0] + step * np.arange(count)
 
 
+def _step_of_coarse_clock(t: Array, gaps: Array) -> float | None:
+    """Step of samples whose instants are rounded to more than it, in a whole number of samples where nearly so."""
+    tick, step = gaps.max(), (t[-1] - t[0]) / len(gaps)
+    if gaps.min() < 0 or not tick or np.mean(gaps == 0) < 0.3 or np.ptp(t - step * np.arange(len(t))) > 2 * tick:
+        return None
+    jumps = np.flatnonzero(gaps)
+    step = (t[jumps[-1] + 1] - t[jumps[0] + 1]) / (jumps[-1] - jumps[0]) if len(jumps) > 1 else step
+    return float(tick / round(tick / step)) if abs(tick / step / round(tick / step) - 1) < 0.02 else float(step)
+
+
 def _why_not_uniform(table: Table, t: Array, column: int) -> str:
     gaps = np.diff(t)
     median = float(np.median(gaps))
     k = int(np.argmax(gaps <= 0) if (gaps <= 0).any() else np.argmax(np.abs(gaps - median)))
-    place = f"{table.at(k + 1, column)}: the time is {t[k + 1]:.12g}, after {t[k]:.12g} in line {table.line_numbers[k]}"
+    place = f"{table.at(k + 1, column)}: the time is {t[k + 1]:.12g}, after {t[k]:.12g} in {table.line(k)}"
+    if gaps[k] == 0 and (step := _step_of_coarse_clock(t, gaps)):
+        return (
+            f"{place}; the instants are printed in steps of {gaps.max():.6g}, which is longer than the time between "
+            f"samples: give that, such as time=False, dt={step:.6g}"
+        )
     if gaps[k] <= 0:
         return f"{place}; it must increase: sort the rows, and drop repeats"
     # rows numbered by time=False would close the gaps that lost samples leave, so it is not offered for these

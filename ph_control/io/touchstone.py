@@ -15,7 +15,7 @@ from .. import _checks
 from ..exceptions import FileFormatError, MissingPackageError, StructureError
 from .files import read_bytes, source_name
 from .frequency_csv import response_matrix
-from .text_table import text_lines
+from .tables.text_table import text_lines
 
 PARAMETERS = ("Z", "Y", "S")
 

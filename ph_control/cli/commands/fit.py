@@ -119,6 +119,10 @@ def add_fitted(parser: Parser) -> None:
     model.add_argument(
         "--timeout", type=within(float, 1e-3, 1e9), metavar="SECONDS", help="stop after this time, keep the best model"
     )
+    model.add_argument(
+        "--watch-progress", action="store_true",
+        help="tell the progress every few seconds also where standard error is no terminal",
+    )  # fmt: skip
     model.add_argument("--workers", type=int, default=1, metavar="N", help="processes, -1 for all cores (default 1)")
 
 
@@ -201,7 +205,7 @@ def run(options: Namespace) -> int:
 def _fitted(options: Namespace) -> tuple[phc.PEMResult, bool]:
     """The result, and whether time was up."""
     found, keywords = measurements(options.recordings, options), keywords_of(options)
-    watch, result = ProgressLine(_progress_line, options.timeout), None
+    watch, result = ProgressLine(_progress_line, options.timeout, always=options.watch_progress), None
     try:
         with watch:
             result = phc.pem(
@@ -219,8 +223,11 @@ def _fitted(options: Namespace) -> tuple[phc.PEMResult, bool]:
 
 
 def _progress_line(progress: Any) -> str:
+    if not progress.order:
+        return progress.stage
+    stage = "" if progress.stage == "search" else f"{progress.stage}: "
     return (
-        f"order {progress.order} of at most {progress.max_order}, iteration {progress.iteration}, rms residual "
+        f"{stage}order {progress.order} of at most {progress.max_order}, iteration {progress.iteration}, rms residual "
         f"{sqrt(progress.loss):.4g}"
     )
 

@@ -61,7 +61,10 @@ def run(options: Namespace) -> int:
     if options.plot is not None:
         picture_format(options.plot)
     reader = partial(recording_of, {name: value for name, value in vars(options).items() if name in _reading()})
-    with _workers(options) as workers, ProgressLine(_progress_line, options.timeout) as watch:
+    with (
+        _workers(options) as workers,
+        ProgressLine(_progress_line, options.timeout, always=options.watch_progress) as watch,
+    ):
         fits = phc.fit_many(
             options.recordings, workers=workers, store=options.store, callback=watch.callback, reader=reader,
             **keywords_of(options),

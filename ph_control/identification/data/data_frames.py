@@ -14,7 +14,7 @@ from ... import _checks
 from ..._checks import labelled
 from ..._units import checked_unit
 from ...exceptions import StructureError
-from ...io.text_table import is_time_label, unit_of_time
+from ...io.tables.columns import is_time_label, unit_of_time
 from ...io.time_csv import recording as response
 from . import channels
 from .time_record import instants, refuse_contradiction, refuse_short, signal, uniform_time

@@ -12,7 +12,7 @@ from ... import _checks
 from ..._display import counted
 from ..._units import DERIVATIVES
 from ...exceptions import StructureError
-from ...io.text_table import is_time_label
+from ...io.tables.columns import is_time_label
 
 QUANTITIES = tuple(DERIVATIVES)
 _WORDS = {

@@ -25,7 +25,7 @@ from ..judge.evidence import rejections
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.prediction import FittedExperiment, joint_percent, shares_left
 from ..regression.tuning import TUNING
-from ..search.circumstances import Cause, Finding, sentence_of
+from ..search.circumstances import Cause, Finding, sentences_of
 from ..search.progress import reporter
 from ..structure.choice import Request
 from ..structure.hypothesis_tests import LEVEL
@@ -301,7 +301,7 @@ def _message(
     if outcome is Outcome.NOTHING:
         return "Nothing to model: no mode improves the BIC."
     parts = [CUT_SHORT] * (outcome is Outcome.INTERRUPTED)
-    parts += [sentence_of(finding, "zoh", channel.time_unit) for finding in findings]
+    parts += sentences_of(findings, "zoh", channel.time_unit)
     kept = [f"{test.hypothesis} ({p_value(test.p)})" for test in tests if test.p >= LEVEL]
     parts += [f"Not rejected: {', '.join(kept)}."] * bool(kept)
     parts += ["Mode shapes are unscaled, as no force was measured: the largest entry is 1."] * (outputs > 1)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from ... import _checks
+from ..._heartbeat import heard_by
 from ..._threads import on_one_thread
 from ..._workers import check_workers
 from ...analysis.spectral_window import HOLDS as BETWEEN_SAMPLES
@@ -116,7 +117,8 @@ def pem(
     rng : numpy.random.Generator or int, optional
         Without effect, as the search has no random starts.
     callback : callable, optional
-        Called as `callback(progress)` after each iteration, `progress` with `order`, `max_order`, `iteration`, `loss`.
+        Called as `callback(progress)` after each iteration, `progress` with `order`, `max_order`, `iteration`, `loss`;
+        also once a second within long stages, which `progress.stage` names.
         If it raises `StopIteration`, or on `KeyboardInterrupt`, the best model so far is returned, and says so.
     structure : {'auto', 'lossless', 'classical', 'passive', 'free'}
         What is assumed: no losses and sensors at the actuators; damping that the real modes of the lossless plant
@@ -252,12 +254,14 @@ def pem(
     def fit(data: Any, **more: Any) -> PEMResult:
         return fit_channels(data, request, options, start, **more)
 
-    result = _beside_hammer_noise(channels, fit)
-    for hold in others:
-        if result.outcome is Outcome.INTERRUPTED or _is_explained(result, structure):
-            break
-        other = fit(as_channels(data, dt, weights=weights, window=window, hold=hold))
-        result = max(result, other, key=_plainness)
+    with heard_by(callback) as heartbeat:
+        options = replace(options, callback=heartbeat)
+        result = _beside_hammer_noise(channels, fit)
+        for hold in others:
+            if result.outcome is Outcome.INTERRUPTED or _is_explained(result, structure):
+                break
+            other = fit(as_channels(data, dt, weights=weights, window=window, hold=hold))
+            result = max(result, other, key=_plainness)
     if result.blind:
         warnings.warn(
             result.message, IdentifiabilityWarning, stacklevel=3

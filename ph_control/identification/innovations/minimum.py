@@ -19,6 +19,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from ..._checks import EPS
+from ..._heartbeat import alive
 from ..._types import Array, ComplexArray, Indices, Mask
 from ..regression.free import places_of
 from ..regression.sections import Sections
@@ -125,6 +126,7 @@ def pieces(count: int, size: int, stride: int = 1) -> Iterator[slice]:
     """Slices of so many bins, each of which has a number of numbers; every `stride` of them."""
     every = stride * max(1, _AT_A_TIME // max(1, size))
     for first in range(0, count, every):
+        alive("noise")
         yield slice(first, min(count, first + every), stride)
 
 
@@ -543,11 +545,12 @@ def minimise(
     if not np.isfinite(best.cost) or not len(problem.vector(start)):
         return Minimum(best, np.isfinite(best.cost), 0)
     while taken < steps:
-        if report is not None:
-            try:
+        try:
+            alive("noise")
+            if report is not None:
                 report(taken, best)
-            except KeyboardInterrupt:
-                return Minimum(best, False, taken, interrupted=True)
+        except KeyboardInterrupt:
+            return Minimum(best, False, taken, interrupted=True)
         gram, gradient, lengths = best.scaled_normal()
         x = problem.vector(best.point)
         while True:

@@ -22,6 +22,7 @@ from ..search.fitted_modes import FreeFit
 from ..structure.choice import layout_of
 from ..structure.hypothesis_tests import LEVEL
 from ..uncertainty.fisher import PortRecord
+from .columns import same_columns, swapped_columns
 from .residuals import outlying, saturated, whiteness_of
 
 _HALF = 0.05  # of half a sample: what a delay may differ from it by
@@ -58,6 +59,9 @@ class Evidence:
             *(_in_model(finding, estimates.experiments) for finding in findings), *_lateness(estimates),
             *rejections(estimates.tests), *_reversed(estimates), *saturated(estimates.experiments), *not_linear(free),
         ]  # fmt: skip
+        findings += same_columns(free.channels)
+        if estimates.fit_percent < GOOD_FIT:
+            findings += swapped_columns(free.channels)
         if whiteness >= WHITE and not (estimates.rounding or free.interrupted):
             findings += outlying(estimates)
         blind = _what_is_blind(estimates) if estimates.fit.point.deficiency else ""

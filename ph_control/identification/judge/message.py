@@ -8,7 +8,7 @@ from ..._display import counted, p_value
 from ..data.channels import Recording
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, Outcome, slower_than_record
 from ..estimates.estimates import Estimates
-from ..search.circumstances import Cause, sentence_of
+from ..search.circumstances import Cause, sentences_of
 from ..structure.hypothesis_tests import LEVEL
 from .evidence import Evidence
 
@@ -20,14 +20,16 @@ def message_of(evidence: Evidence) -> str:
     estimates, outcome = evidence.estimates, evidence.outcome
     free, shapes, fitted = estimates.free, estimates.shapes[0], f"{estimates.fit_percent:.0f} %"
     if outcome is Outcome.NOTHING:
-        return "Nothing to model: no mode improves the BIC."
+        causes = [finding for finding in evidence.findings if finding.cause in (Cause.SAME_COLUMNS, Cause.SWAPPED)]
+        suspected = sentences_of(causes, free.intersample, free.channels[0].time_unit)
+        return " ".join(["Nothing to model: no mode improves the BIC.", *suspected])
     parts = [CUT_SHORT] * (outcome is Outcome.INTERRUPTED)
     parts += [evidence.blind] * bool(evidence.blind)
     if outcome is Outcome.NOT_DESCRIBED:
         parts.append(f"With a fit of {fitted} a model of this structure does not describe the data.")
     elif outcome is Outcome.DOUBTFUL and not evidence.blind:
         parts += _doubts(evidence)
-    parts += [sentence_of(finding, free.intersample, free.channels[0].time_unit) for finding in evidence.findings]
+    parts += sentences_of(evidence.findings, free.intersample, free.channels[0].time_unit)
     kept = [f"{test.hypothesis} ({p_value(test.p)})" for test in estimates.tests if test.p >= LEVEL and test.dof]
     if kept:
         parts.append(f"Not rejected: {', '.join(kept)}.")

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.signal import lfilter
 
+from ..._heartbeat import alive
 from ..._types import Array, ComplexArray, Indices
 from ..regression.elimination import orthogonal, without
 from ..regression.modal_regressors import SampledModes
@@ -160,6 +161,7 @@ def _groups(scan: DeadTimeScan, noise: tuple[Array, ...]) -> list[_Group]:
         for coefficients in {b.tobytes(): b for b in filters}.values():
             members = [k for k, b in enumerate(filters) if np.array_equal(b, coefficients)]
             key = rows.outputs[members].tobytes(), coefficients.tobytes()
+            alive("dead times")
             blocks.setdefault(key, []).append(_block(scan, rows, members, coefficients, columns))
     groups = []
     for (outputs, _), parts in blocks.items():
@@ -216,6 +218,7 @@ class _DeadTimeProblem:
         """Dead times with what they explain."""
         loglik = 0.0
         for group in self.groups:
+            alive("dead times")
             rest = _rest(group.columns(samples, range(len(samples))), group.targets)
             loglik += float(group.loglik(np.sum(rest**2, axis=0)))
         return DeadTimes(samples, loglik)

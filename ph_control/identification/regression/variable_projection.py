@@ -11,6 +11,7 @@ from scipy.linalg import lapack
 from scipy.optimize import minimize
 
 from ..._checks import EPS
+from ..._heartbeat import alive
 from ..._types import Array
 from .elimination import LinearProjection
 
@@ -89,6 +90,7 @@ def continue_refinement(
     """Go on with a minimisation from where it stands, up to so many iterations in all, as `refine` does."""
     try:
         while not end.converged and end.iterations < max_iterations:
+            alive("refinement")
             _descend(problem, end, rtol, last)
             if progress is not None:
                 progress(end.iterations, end.projection.loss)

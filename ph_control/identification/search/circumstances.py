@@ -40,7 +40,9 @@ class Cause(Enum):
     INPUT_NOISE = "noise on the input"
     GAIN_NOISE = "noise that grows with the gain"
     LOSSES = "losses, or residues that no lossless model has"
-    COMPLEX_SHAPES = "damping or sensors that classical damping does not explain"
+    COMPLEX_SHAPES = "mode shapes that are not real"
+    SAME_COLUMNS = "two columns that are the same"
+    SWAPPED = "an output as broad as a test signal, and an input with resonances"
     ACTIVITY = "energy that no passive model gives"
     SEVERAL_SHAPES = "residues of more than one shape"
     ONE_WAY = "responses that are not reciprocal"
@@ -99,7 +101,8 @@ class Finding:
         order; of fewer modes the order that was given, and how many reproduce the data; of forces that were not
         measured the root mean square of what inputs do not explain over that of each output; of noise that outputs
         share the largest correlation; of a parameter at a bound its value; of a combination of parameters the relative
-        changes of all that leave no trace together.
+        changes of all that leave no trace together; of columns that are the same the factor between them; of swapped
+        columns the flatness of the spectrum of the input and of the output, 1 for white noise.
     gain : float
         How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers and ends of the range.
     output : str
@@ -262,6 +265,27 @@ def _of_input_delay(finding: Finding, terms: _Terms) -> str:
 def _of_rejection(finding: Finding, terms: _Terms) -> str:
     hypothesis = next(name for name, cause in REJECTED.items() if cause is finding.cause)
     return f"The data show {finding.cause.value}: they reject {hypothesis!r} ({p_value(finding.values[0])})."
+
+
+def _of_complex_shapes(finding: Finding, terms: _Terms) -> str:
+    return (
+        f"The data reject 'classical' ({p_value(finding.values[0])}): mode shapes are complex. Damping that is spread "
+        "otherwise than mass and stiffness makes them so; channels sampled one after the other, and modes beyond the "
+        "measured band, can too."
+    )
+
+
+def _of_same_columns(finding: Finding, terms: _Terms) -> str:
+    factor = finding.values[0]
+    times = "" if abs(factor - 1) < 1e-9 else f" up to a factor of {factor:.4g}"
+    return f"The columns {finding.output} are the same{times}: probably one was chosen, or exported, twice; check both."
+
+
+def _of_swapped(finding: Finding, terms: _Terms) -> str:
+    return (
+        f"The columns of input and output are probably swapped: {finding.output} is the response by its spectrum, "
+        f"whose flatness is {finding.values[0]:.2g} beside {finding.values[1]:.2g}; exchange input= and output=."
+    )
 
 
 def _of_polarity(finding: Finding, terms: _Terms) -> str:
@@ -443,7 +467,53 @@ _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
     Cause.LARGEST_ORDER: _of_largest_order, Cause.FEWER_MODES: _of_fewer_modes, Cause.OUTLIERS: _of_outliers,
     Cause.INPUT_NOISE: _of_input_noise, Cause.PARAMETER_BOUND: _of_parameter_bound,
     Cause.UNIDENTIFIED: _of_unidentified, **dict.fromkeys(REJECTED.values(), _of_rejection),
+    Cause.COMPLEX_SHAPES: _of_complex_shapes, Cause.SAME_COLUMNS: _of_same_columns, Cause.SWAPPED: _of_swapped,
 }  # fmt: skip
+
+# what doubts the data comes first, then what doubts the model, then what the model has beside the modes
+_FIRST = (
+    Cause.SAME_COLUMNS, Cause.SWAPPED, Cause.POLARITY, Cause.SATURATION, Cause.OUTLIERS, Cause.WILD_LINES,
+    Cause.CHANGING_MODE, Cause.MULTIPLE, Cause.WRONG_MODEL, Cause.UNIDENTIFIED, Cause.PARAMETER_BOUND,
+    Cause.LARGEST_ORDER, Cause.FEWER_MODES, *REJECTED.values(), Cause.INPUT_NOISE, Cause.COLOURED_RESIDUALS,
+)  # fmt: skip
+_MOST = 9  # sentences about findings: some ten lines
+# what several outputs show, in place of a sentence for each
+_TOGETHER = {
+    Cause.COLOURED_RESIDUALS: "The residuals of {} outputs are coloured ({}). The most so:",
+    Cause.INPUT_NOISE: "The residuals of {} outputs grow with the response ({}). The most so:",
+    Cause.OUTLIERS: "{} outputs have values far outside the noise ({}). Of them:",
+    Cause.SATURATION: "{} outputs stay at an end of their range ({}). Of them:",
+    Cause.POLARITY: "{} sensors oppose the force at their driving points ({}). Of them:",
+    Cause.CHANGING_NOISE: "The noise of {} outputs changes ({}). The most so:",
+    Cause.DELAY: "{} outputs come later or earlier than the response to the inputs ({}), by delay. The most so:",
+    Cause.INPUT_DELAY: "{} inputs act later ({}); input_delay has them all. The first:",
+}
+
+
+def sentences_of(findings: Sequence[Finding], intersample: str, time_unit: str | None = None) -> list[str]:
+    """What findings say: the most important first, one sentence for several outputs, and at most a dozen lines."""
+    place = {cause: k for k, cause in enumerate(_FIRST)}
+    ordered = sorted(findings, key=lambda finding: place.get(finding.cause, len(place)))
+    sentences = list[str]()
+    for cause in dict.fromkeys(finding.cause for finding in ordered):
+        alike = [finding for finding in ordered if finding.cause is cause]
+        channels = list(dict.fromkeys(finding.output for finding in alike))
+        if cause not in _TOGETHER or len(channels) < 2:
+            sentences += [sentence_of(finding, intersample, time_unit) for finding in alike]
+            continue
+        listed = ", ".join(map(repr, channels[:_LISTED])) + f" and {len(channels) - _LISTED} more" * (
+            len(channels) > _LISTED
+        )
+        largest = max(alike, key=_prominence)
+        together = _TOGETHER[cause].format(len(channels), listed)
+        sentences.append(f"{together} {sentence_of(largest, intersample, time_unit)}")
+    rest = len(sentences) - _MOST
+    return sentences if rest < 2 else [*sentences[:_MOST], f"{rest} more are in findings."]
+
+
+def _prominence(finding: Finding) -> float:
+    """Size by which one finding of several outputs stands for all."""
+    return abs(finding.values[0]) if finding.cause in (Cause.DELAY, Cause.SATURATION) else finding.gain
 
 
 def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None) -> str:

@@ -3,23 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from ... import _checks
+from ..._heartbeat import Progress
 from ...exceptions import StructureError
 
 Report = Callable[[int, float], None]  # iteration, loss
-
-
-@dataclass(frozen=True)
-class Progress:
-    """State of a fit after an iteration: number of modes, largest number, iteration, mean squared residual."""
-
-    order: int
-    max_order: int
-    iteration: int
-    loss: float
 
 
 Callback = Callable[[Progress], Any]

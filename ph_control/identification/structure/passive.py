@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..._heartbeat import alive
 from ..._types import Array, ComplexArray, Indices
 from ...modal.general_form import real_matrices
 from ...modal.positive_real import Passivity
@@ -263,6 +264,7 @@ def nearest_passive(
     centre, C = ports.theta(projection), projection.covariance(variance)
     theta = centre
     for _ in range(_STEPS):
+        alive("structure passive")
         held = _projected(ports, centre, C, theta, most)
         if held is None:
             break

@@ -1,0 +1,1 @@
+"""Tables: columns of signals with labels and units, of text and of the binary files of loggers."""

@@ -1,0 +1,308 @@
+"""Layout of a text table: its separator and decimal sign, where its rows begin, its labels and units.
+
+Loggers write a preamble above the table, often as long as it.  The rows are those of the commonest number of fields
+with numbers in the same places; the labels are the words above them.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+from ..._checks import without_unit
+from ..._units import UNIT, known_unit
+from .columns import is_time_label
+from .instants import is_instant
+
+COMMENTS = ("#", "%")
+MISSING = frozenset(
+    ["", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-", "?", "nan(ind)", "-nan(ind)", "1.#qnan",
+     "-1.#ind"]
+)  # fmt: skip
+NUMBER = {
+    ".": re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?"),
+    ",": re.compile(r"[+-]?([0-9]+(,[0-9]*)?|,[0-9]+)([eE][+-]?[0-9]+)?"),
+}
+_LAYOUTS = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (" ", "."), (" ", ","), (",", ","))
+_SAMPLE = 20  # lines at the begin and at the end that the separator is judged by
+_LINES = 400  # over the file, that its rows are judged by
+_ABOVE = 6  # lines above the rows of numbers, labels and units among them
+_HEADER_WORD = re.compile(r'"[^"]*"|\S+(?:\s+[\[(][^\])]*[\])])*')
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Separator and decimal sign of a table, and the starts of comments."""
+
+    delimiter: str
+    decimal: str
+    comments: tuple[str, ...]
+
+    def fields(self, line: str) -> list[str]:
+        """Fields of a line."""
+        return split(line, self.delimiter)
+
+    def kinds(self, line: str) -> str:
+        """One letter for each field: number (or instant), missing or text."""
+        return kinds(self.fields(line), self.decimal)
+
+    def words(self, line: str) -> list[str]:
+        """Fields of a line of labels."""
+        return header_fields(line, self.delimiter)
+
+
+@dataclass(frozen=True)
+class Body:
+    """Rows of a table, as indices of lines, and the labels above them."""
+
+    rows: list[int]
+    labels: tuple[str, ...] | None
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """Number of fields of the rows, and which of them hold numbers."""
+
+    width: int
+    numeric: tuple[int, ...]
+
+    def fits(self, kinds: str) -> bool:
+        """Whether a line has this shape, an empty field at its end apart."""
+        size = len(kinds) - (len(kinds) == self.width + 1 and kinds.endswith("m"))
+        return size == self.width and "n" in kinds and all(kinds[j] in "nm" for j in self.numeric)
+
+
+def content_of(lines: Sequence[str], comments: tuple[str, ...], blanks: str | None = None) -> list[int]:
+    """Indices of the lines that are neither blank nor comments."""
+    return [
+        k
+        for k, line in enumerate(lines)
+        if line.strip(blanks) and not (comments and line.lstrip().startswith(comments))
+    ]
+
+
+def split(row: str, delimiter: str) -> list[str]:
+    """Fields of a line, those in quotes whole."""
+    if delimiter == " ":
+        return row.split()
+    if '"' in row:
+        # a field that is longer than the module allows is no number: quotes that are never closed are letters
+        with suppress(csv.Error):
+            return next(csv.reader([row], delimiter=delimiter, skipinitialspace=True))
+    return row.split(delimiter)
+
+
+def header_fields(row: str, delimiter: str) -> list[str]:
+    """Labels in a line, without quotes."""
+    fields = _HEADER_WORD.findall(row) if delimiter == " " else split(row, delimiter)
+    return [field.strip().strip('"').strip() for field in fields]
+
+
+def kinds(fields: Sequence[str], decimal: str) -> str:
+    """One letter for each field: number (or instant), missing or text."""
+    return "".join(_kind(field.strip(), decimal) for field in fields)
+
+
+def _kind(word: str, decimal: str) -> str:
+    if NUMBER[decimal].fullmatch(word):
+        return "n"
+    if word.casefold() in MISSING:
+        return "m"
+    return "n" if is_instant(word) else "t"
+
+
+def find_layout(
+    lines: Sequence[str], content: Sequence[int], delimiter: str | None, decimal: str | None, comments: tuple[str, ...]
+) -> Layout:
+    """Separator and decimal sign that split a sample into the most numbers; of those, into the fewest other fields."""
+    chosen = content if len(content) <= 2 * _SAMPLE else [*content[:_SAMPLE], *content[-_SAMPLE:]]
+    sample = [lines[k] for k in chosen]
+    layouts = [layout for layout in _LAYOUTS if decimal in (None, layout[1])]
+    if delimiter is not None:
+        delimiter = " " if delimiter.isspace() and delimiter != "\t" else delimiter
+        layouts = [(delimiter, sign) for sign in ".," if decimal in (None, sign)]
+
+    def score(layout: tuple[str, str]) -> tuple[int, int, int]:
+        rows = [kinds(split(row, layout[0]), layout[1]) for row in sample]
+        letters = "".join(rows)
+        # a number among many words is one of the preamble
+        numbers = sum(row.count("n") for row in rows if row.count("n") > row.count("t"))
+        return numbers, 0 if numbers else letters.count("n"), -letters.count("t")
+
+    best = max(layouts, key=score)
+    if delimiter is None and not any(score(best)[:2]):
+        # no numbers at all: only the words for the error are at stake
+        best = next((sign for sign in (";", "\t", ",") if sign in sample[0]), " "), decimal or "."
+    return Layout(*best, comments)
+
+
+def find_bodies(lines: Sequence[str], content: Sequence[int], layout: Layout, header: bool | None) -> list[Body]:
+    """Tables in a file, that of the most numbers first."""
+    step = max(1, len(content) // _LINES)
+    places = sorted({*range(0, len(content), step), *range(min(_SAMPLE, len(content)))})
+    rows = [kind for kind in (layout.kinds(lines[content[k]]) for k in places) if "n" in kind]
+    numbers: Counter[_Shape] = Counter()
+    for kind in rows:
+        numbers[_Shape(len(kind), tuple(j for j, letter in enumerate(kind) if letter != "t"))] += kind.count("n")
+    bodies = (_body(lines, content, layout, shape, header) for shape, _ in numbers.most_common(4))
+    return [body for body in bodies if body]
+
+
+def _body(
+    lines: Sequence[str], content: Sequence[int], layout: Layout, shape: _Shape, header: bool | None
+) -> Body | None:
+    """Rows of one shape, from the first to the last, and their labels."""
+
+    def letters(k: int) -> str:
+        return layout.kinds(lines[content[k]])
+
+    first = next((k for k in range(len(content)) if shape.fits(letters(k))), None)
+    if first is None:
+        return None
+    last = next(k for k in reversed(range(len(content))) if shape.fits(letters(k)))
+    # what begins with words behind the table is left out; a row that is cut or wrong is left to be refused
+    stop = len(content)
+    place = shape.numeric[0] if shape.numeric else 0
+    if last + 1 < stop and len(letters(last + 1)) != shape.width and letters(last + 1)[place : place + 1] in ("t", ""):
+        stop = last + 1
+    # a row with numbers of which one is wrong is a row
+    while first and "n" in (above := kinds(layout.words(lines[content[first - 1]]), layout.decimal)):
+        if len(above) != shape.width:
+            break
+        first -= 1
+    top = first
+    while top and _is_row_of_missing(letters(top - 1), shape.width):
+        top -= 1
+    labels, below = (None, None) if header is False else _labels_above(lines, content[top], layout, shape.width)
+    if labels is None and top:
+        labels, below = (None, None) if header is False else _labels_above(lines, content[first], layout, shape.width)
+        top = first
+    while labels is not None and top and below is not None and content[top - 1] >= below:
+        top -= 1
+    rows = list(content[top:stop])
+    if labels is None and header is not False and top == 1:
+        # a single line above numbers whose fields are others in number, or in quotes that are left open
+        headline = layout.words(lines[content[0]])
+        if len(headline) > 1 or lines[content[0]].count('"') % 2:
+            labels = tuple(headline)
+    return Body(rows, labels)
+
+
+def _is_row_of_missing(letters: str, width: int) -> bool:
+    return set(letters) == {"m"} and len(letters) in (width, width + 1)
+
+
+def _labels_above(
+    lines: Sequence[str], first: int, layout: Layout, width: int
+) -> tuple[tuple[str, ...] | None, int | None]:
+    """Labels above the first row, with the units below them; and the line from which on all belongs to the table."""
+    rows: list[tuple[int, list[str], str]] = []  # lines of words, the nearest first
+    above = (k for k in range(first - 1, -1, -1) if lines[k].strip())
+    for k, _ in zip(above, range(_ABOVE), strict=False):
+        words = layout.words(lines[k])
+        # an empty label at the end, and a column of remarks that no row has
+        words = words[:-1] if len(words) == width + 1 else words
+        if len(words) != width and layout.delimiter == " ":
+            # units in brackets are not those of labels before them
+            words = lines[k].split()
+        letters = kinds(words, layout.decimal)
+        if len(words) == width and "t" in letters:
+            rows.append((k, words, letters))
+        elif rows and not _is_comment(lines[k], layout):
+            break
+    rows = rows[:3]
+    while rows and _is_comment(lines[rows[-1][0]], layout):
+        rows.pop()
+    if not rows or "n" in rows[0][2]:
+        return None, None
+    place = _place_of_labels(rows)
+    number, labels, _ = rows[place]
+    units = (
+        _units(rows[place - 1][1], [lines[k] for k in range(first, min(first + _SAMPLE, len(lines)))], layout)
+        if place
+        else None
+    )
+    if place and units is None:
+        # words that are no units stay, to be refused
+        return tuple(labels), number + 1
+    joined = labels if units is None else [
+        f"{label} [{unit}]" if label and unit and without_unit(label) == label else label
+        for label, unit in zip(labels, units, strict=True)
+    ]  # fmt: skip
+    return tuple(joined), None
+
+
+def _place_of_labels(rows: Sequence[tuple[int, list[str], str]]) -> int:
+    """Which of the lines of words above a table, the nearest first, holds the labels."""
+    if len(rows) > 1:
+        nearest, above = ([_unit(word) for word in words] for _, words, _ in rows[:2])
+        told = 0 if any(map(is_time_label, rows[0][1])) else sum(map(bool, nearest))
+        if None not in nearest or (
+            told and 2 * told >= sum(unit != "" for unit in nearest) and told > sum(map(bool, above))
+        ):
+            return 1
+    known = (k for k, (_, words, letters) in enumerate(rows) if "n" not in letters and any(map(is_time_label, words)))
+    return next(known, 0)
+
+
+def _unit(word: str) -> str | None:
+    """Unit that a field below a label tells, empty for none; None for a field that is no unit."""
+    text = word.strip(' \t"')
+    text = "" if text in ("-", "#") else re.sub(r"^(?:\[(.*)\]|\((.*)\))$", r"\1\2", text).strip()
+    spellings = [text, text.lower()] if text.isalpha() and len(text) > 2 else [text]
+    known = not text or (len(text) <= 30 and any(map(UNIT.fullmatch, spellings)))
+    return text if known or known_unit(text) else None
+
+
+def _units(words: Sequence[str], below: Sequence[str], layout: Layout) -> list[str] | None:
+    """Units of the columns if at least half of the words are such, above columns of numbers; else None."""
+    units = [_unit(word) for word in words]
+    told = [unit for unit in units if unit]
+    if not told or 2 * len(told) < sum(unit != "" for unit in units):
+        return None
+    # a column with a unit holds numbers: letters above letters are a row of the table
+    rows = [layout.kinds(row) for row in below if row.strip() and not _is_comment(row, layout)]
+    seen = [{row[column : column + 1] for row in rows} for column in range(len(units))]
+    if not all({"n"} <= letters <= {"n", "m", ""} for letters, unit in zip(seen, units, strict=True) if unit):
+        return None
+    return [unit or "" for unit in units]
+
+
+def _is_comment(line: str, layout: Layout) -> bool:
+    return bool(layout.comments) and line.lstrip().startswith(layout.comments)
+
+
+def labels_in_comment(lines: Sequence[str], first: int, layout: Layout, width: int) -> tuple[str, ...] | None:
+    """Labels in a comment right above the numbers, as `numpy.savetxt` writes them."""
+    above = lines[first - 1].strip() if first else ""
+    if not above.startswith(COMMENTS):
+        return None
+    text = above.lstrip("#% \t")
+    # the comment need not be separated as the numbers are: words may be, with or without commas, between white space;
+    # a # with a separator behind it is the label of a column of numbers of rows
+    words = [label.rstrip(",;") for label in header_fields(text, " ")]
+    splits = [words] if layout.delimiter == " " else [layout.words(text), words, layout.words(above)]
+    return next((tuple(labels) for labels in splits if kinds(labels, ".") == width * "t"), None)
+
+
+def decimal_sign(rows: Sequence[str], delimiter: str) -> str:
+    """Decimal sign of the first number that has one."""
+    for row in rows:
+        # in a file with commas between the fields only a quoted number can have a decimal comma
+        for field in map(str.strip, split(row, delimiter)) if "," in row or "." in row else ():
+            for sign in ",.":
+                if sign in field and NUMBER[sign].fullmatch(field):
+                    return sign
+    return "."
+
+
+Wanted = Callable[[tuple[str, ...]], bool]
+
+
+def chosen_body(bodies: Sequence[Body], wanted: Wanted | None) -> Body:
+    """Body whose labels are the wanted ones, or else that of the most rows."""
+    return next((body for body in bodies if wanted and body.labels and wanted(body.labels)), bodies[0])
