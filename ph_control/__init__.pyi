@@ -3,6 +3,7 @@
 Python imports one when it is first asked for; see `__init__.py`, which reads these lines.
 """
 
+from ._heartbeat import show_progress as show_progress
 from .analysis.energy import EnergyBalance as EnergyBalance
 from .analysis.energy import energy_balance as energy_balance
 from .analysis.margins import margin as margin

@@ -6,6 +6,7 @@ Numerical loops call `alive`; it does nothing unless a fit with a callback runs,
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -29,6 +30,15 @@ class Progress:
     loss: float
     stage: str = "search"
 
+    def __str__(self) -> str:
+        if not self.order:
+            return self.stage
+        stage = "" if self.stage == "search" else f"{self.stage}: "
+        return (
+            f"{stage}order {self.order} of at most {self.max_order}, iteration {self.iteration}, rms residual "
+            f"{math.sqrt(self.loss):.4g}"
+        )
+
 
 @dataclass
 class Heartbeat:
@@ -36,16 +46,16 @@ class Heartbeat:
 
     callback: Callable[[Progress], Any]
     latest: Progress = Progress(0, 0, 0, math.nan)
-    told: float = field(default_factory=time.monotonic)
+    reported: float = field(default_factory=time.monotonic)
 
     def __call__(self, progress: Progress) -> None:
         """Report an iteration."""
-        self.latest, self.told = progress, time.monotonic()
+        self.latest, self.reported = progress, time.monotonic()
         self.callback(progress)
 
     def beat(self, stage: str) -> None:
         """Report a stage, unless something was reported just now."""
-        if time.monotonic() - self.told < _PAUSE:
+        if time.monotonic() - self.reported < _PAUSE:
             return
         try:
             self(replace(self.latest, stage=stage))
@@ -72,3 +82,55 @@ def heard_by(callback: Any) -> Iterator[Any]:
         yield heartbeat
     finally:
         _CURRENT.reset(token)
+        if callback is show_progress:
+            _BAR.close()
+
+
+class _ProgressBar:
+    """Bar of the number of modes on standard error, written anew at most five times a second, gone at the end."""
+
+    width, pause = 20, 0.2
+
+    def __init__(self) -> None:
+        self.length, self.written = 0, -math.inf
+
+    def __call__(self, progress: Progress) -> None:
+        if time.monotonic() - self.written < self.pause:
+            return
+        full = self.width * progress.order // max(progress.max_order, 1)
+        self._put(f"[{'#' * full}{'.' * (self.width - full)}] {progress}")
+        self.written = time.monotonic()
+
+    def close(self) -> None:
+        """Leave an empty line."""
+        if self.length:
+            self._put("")
+            print(end="\r", file=sys.stderr, flush=True)
+        self.written = -math.inf
+
+    def _put(self, line: str) -> None:
+        # a carriage return is what terminals and notebooks have in common
+        print(f"\r{line.ljust(self.length)}", end="", file=sys.stderr, flush=True)
+        self.length = len(line)
+
+
+_BAR = _ProgressBar()
+
+
+def show_progress(progress: Progress) -> None:
+    """Callback of `pem` that shows a bar in a terminal or notebook while the fit runs.
+
+    Parameters
+    ----------
+    progress : Progress
+        With `order`, `max_order`, `iteration`, `loss` and `stage`.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> u = np.random.default_rng(0).standard_normal(200)
+    >>> y = phc.forced_response(phc.ph(phc.modes(1.0, 1.0)), 0.1 * np.arange(200), u, intersample="zoh").outputs
+    >>> phc.pem((u, y), 1, dt=0.1, callback=phc.show_progress).order
+    1
+    """
+    _BAR(progress)

@@ -57,6 +57,21 @@ def test_a_callback_is_told_the_stage(record):
     assert {progress.stage for progress in told} >= {"search"} and all(progress.order >= 0 for progress in told)
 
 
+def test_a_bar_shows_the_progress_and_is_gone_at_the_end(record, capsys):
+    phc.pem(record, callback=phc.show_progress, dt=STEP, max_order=4, structure="lossless", noise="white", delay=0)
+    shown = capsys.readouterr().err
+    assert "[#####" in shown and " of at most 4, iteration " in shown
+    assert shown.startswith("\r[") and shown.rsplit("\r", 2)[1].strip() == ""
+
+
+def test_findings_of_many_values_are_short(record):
+    u, y = record
+    spoilt = np.where(np.isin(np.arange(y.size), [7, 97, 187, 277, 367, 457]), 50.0, y)
+    result = phc.pem((u, spoilt), 2, dt=STEP, structure="free", noise="white", intersample="zoh", offset=False)
+    (outliers,) = (finding for finding in result.findings if finding.cause.name == "OUTLIERS")
+    assert repr(outliers) == "Finding(OUTLIERS, (7, 97, 187, 277, ... 2 more), gain=0)"
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_is_printed_for_a_shell(shell, capsys):
     pytest.importorskip("shtab")
@@ -70,9 +85,9 @@ def test_completion_is_printed_for_a_shell(shell, capsys):
 
 
 def test_progress_is_written_to_a_pipe_where_it_is_asked_for(tmp_path, record, monkeypatch, capsys):
-    from ph_control.cli import main, outcome
+    from ph_control.cli import main
 
-    monkeypatch.setattr(outcome, "_IN_LINES", 0.0)
+    monkeypatch.setattr("ph_control.cli.outcome._IN_LINES", 0.0)
     table = tmp_path / "record.csv"
     np.savetxt(table, np.column_stack(record), delimiter=",", header="u,y", comments="")
     words = ["fit", str(table), "--dt", str(STEP), "--order", "2", "--structure", "lossless"]

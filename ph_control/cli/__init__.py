@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from typing import Any
 
 import ph_control as phc
 
@@ -63,15 +64,20 @@ def _run(words: list[str]) -> int:
     if words[:1] == ["--print-completion"]:
         from .completion import completion_script
 
-        emit(completion_script(words[1:], COMMANDS))
+        emit(completion_script(words[1:], COMMANDS, _module))
         return 0
     place = next((k for k, word in enumerate(words) if not word.startswith("-")), len(words))
     command: str = _parser().parse(words[: place + 1]).command
-    module = import_module(f".commands.{command.replace('-', '_')}", __name__)
+    module = _module(command)
     parser = Parser(module.__doc__, prog=f"ph-control {command}", usage=f"%(prog)s {module.USAGE}")
     module.add_options(parser)
     code: int = module.run(parser.parse(_plain(words[place + 1 :])))
     return code
+
+
+def _module(command: str) -> Any:
+    """Module of a command."""
+    return import_module(f".commands.{command.replace('-', '_')}", __name__)
 
 
 def _plain(words: list[str]) -> list[str]:

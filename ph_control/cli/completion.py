@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
-from importlib import import_module
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from ..exceptions import MissingPackageError, StructureError
 
 _FILES = ("FILE", "MODEL", "RECORDING", "FOLDER")  # metavariables of arguments that are paths
 
 
-def completion_script(words: Sequence[str], commands: Mapping[str, str]) -> str:
+def completion_script(words: Sequence[str], commands: Mapping[str, str], module_of: Callable[[str], Any]) -> str:
     """Script for the shell that `words` names, with the options of all commands."""
     try:
         import shtab
@@ -26,9 +26,8 @@ def completion_script(words: Sequence[str], commands: Mapping[str, str]) -> str:
     parser.add_argument("--version", action="version", version="")
     subparsers = parser.add_subparsers(dest="command")
     for command, text in commands.items():
-        module = import_module(f".commands.{command.replace('-', '_')}", __package__)
         own = subparsers.add_parser(command, help=text, description=text)
-        module.add_options(own)
+        module_of(command).add_options(own)
         for action in own._actions:
             if action.choices is None and str(action.metavar).upper() in _FILES:
                 action.complete = shtab.FILE  # type: ignore[attr-defined]

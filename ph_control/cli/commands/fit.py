@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import argparse
 from argparse import Namespace
-from math import inf, sqrt
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -205,7 +205,7 @@ def run(options: Namespace) -> int:
 def _fitted(options: Namespace) -> tuple[phc.PEMResult, bool]:
     """The result, and whether time was up."""
     found, keywords = measurements(options.recordings, options), keywords_of(options)
-    watch, result = ProgressLine(_progress_line, options.timeout, always=options.watch_progress), None
+    watch, result = ProgressLine(str, options.timeout, always=options.watch_progress), None
     try:
         with watch:
             result = phc.pem(
@@ -220,16 +220,6 @@ def _fitted(options: Namespace) -> tuple[phc.PEMResult, bool]:
         if result is None or not watch.expired:
             raise
     return result, watch.expired
-
-
-def _progress_line(progress: Any) -> str:
-    if not progress.order:
-        return progress.stage
-    stage = "" if progress.stage == "search" else f"{progress.stage}: "
-    return (
-        f"{stage}order {progress.order} of at most {progress.max_order}, iteration {progress.iteration}, rms residual "
-        f"{sqrt(progress.loss):.4g}"
-    )
 
 
 def _write(result: phc.PEMResult, place: int, options: Namespace) -> None:

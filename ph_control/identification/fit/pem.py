@@ -117,8 +117,8 @@ def pem(
     rng : numpy.random.Generator or int, optional
         Without effect, as the search has no random starts.
     callback : callable, optional
-        Called as `callback(progress)` after each iteration, `progress` with `order`, `max_order`, `iteration`, `loss`;
-        also once a second within long stages, which `progress.stage` names.
+        `show_progress`, or a function of your own. Called as `callback(progress)` after each iteration, `progress` with
+        `order`, `max_order`, `iteration`, `loss`; also once a second within long stages, which `progress.stage` names.
         If it raises `StopIteration`, or on `KeyboardInterrupt`, the best model so far is returned, and says so.
     structure : {'auto', 'lossless', 'classical', 'passive', 'free'}
         What is assumed: no losses and sensors at the actuators; damping that the real modes of the lossless plant

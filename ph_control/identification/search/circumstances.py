@@ -22,6 +22,7 @@ from ..regression.modal_regressors import SampledModes
 from ..regression.tuning import TUNING
 
 _LISTED = 6  # values named one by one
+_SHOWN = 4  # values of a finding in its representation
 _RATIOS = np.geomspace(1e-4, 1e4, 9)  # of input noise, seen at the median of the bins, to output noise
 
 
@@ -117,6 +118,15 @@ class Finding:
     gain: float
     output: str = ""
     experiment: int = 0
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{value:.4g}" for value in self.values[:_SHOWN])
+        more = f", ... {len(self.values) - _SHOWN} more" if len(self.values) > _SHOWN else ""
+        parts = [f"({values}{more})", f"gain={self.gain:.4g}"]
+        parts += [f"output={self.output!r}"] * bool(self.output) + [f"experiment={self.experiment}"] * bool(
+            self.experiment
+        )
+        return f"Finding({self.cause.name}, {', '.join(parts)})"
 
 
 # --- noise -----------------------------------------------------------------------------------------------------------
