@@ -69,7 +69,7 @@ def test_findings_of_many_values_are_short(record):
     spoilt = np.where(np.isin(np.arange(y.size), [7, 97, 187, 277, 367, 457]), 50.0, y)
     result = phc.pem((u, spoilt), 2, dt=STEP, structure="free", noise="white", intersample="zoh", offset=False)
     (outliers,) = (finding for finding in result.findings if finding.cause.name == "OUTLIERS")
-    assert repr(outliers) == "Finding(OUTLIERS, (7, 97, 187, 277, ... 2 more), gain=0)"
+    assert repr(outliers) == "Finding(OUTLIERS, (7, 97, 187, 277, ... 2 more), gain=0, output='y')"
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -123,9 +123,8 @@ class Finding:
         values = ", ".join(f"{value:.4g}" for value in self.values[:_SHOWN])
         more = f", ... {len(self.values) - _SHOWN} more" if len(self.values) > _SHOWN else ""
         parts = [f"({values}{more})", f"gain={self.gain:.4g}"]
-        parts += [f"output={self.output!r}"] * bool(self.output) + [f"experiment={self.experiment}"] * bool(
-            self.experiment
-        )
+        parts += [f"output={self.output!r}"] * bool(self.output)
+        parts += [f"experiment={self.experiment}"] * bool(self.experiment)
         return f"Finding({self.cause.name}, {', '.join(parts)})"
 
 
