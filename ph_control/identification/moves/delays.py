@@ -23,6 +23,7 @@ MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
 _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _SCANS = 3  # searches with the delays that the last one says
 LONGEST_DELAY = 24  # samples
+_SLOWER = (1.15, 1.3)  # than the slowest of several lags that stand for one that comes late
 _LAGS = 4  # of different rates, with which delays are looked for
 
 
@@ -33,7 +34,14 @@ def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
         again = anew(replace(fit.lateness, outputs=delay), fit.offset, None)
         share = fit.projection.rows / again.projection.rows
         now = 0.5 * (fit.criteria.bic - again.criteria.bic * share)
-        if now > gain and _responds(again):
+        # fewer lags that leave white residuals are simpler, as the criterion counts; one that is over within a sample
+        # may be a lag as well as a delay
+        simpler = (
+            best is fit and not fit.order and again.states < fit.states and _samples_late(again) > 1
+            and not leaves_traces(again.projection)
+        )  # fmt: skip
+        least = 0.0 if simpler else gain
+        if now > least and _responds(again):
             best, gain = replace(again, findings=fit.findings, delay_gain=now), now
             if again.order < fit.order and not leaves_traces(again.projection):
                 break
@@ -119,9 +127,11 @@ def _mimicked_delays(late: Callable[[int, ComplexArray], FreeProjection], p: Com
     lags = np.sort(p[p.imag == 0])[::-1]  # the slowest first
     light = p[(-p.real < MIMICS * np.abs(p)) & (p.imag != 0)]
     kept = [np.concatenate([light, lags[:count]]) for count in range(len(lags) + 1)]
+    kept += [lags[:1] / slower for slower in _SLOWER if len(lags) == len(p)]
     values = {
-        (delay, len(some)): bic(delay, some) for some in kept if 0 < len(some) < len(p) for delay in TUNING.delays
-    }
+        (delay, k): bic(delay, some) for k, some in enumerate(kept) if 0 < len(some) < len(p)
+        for delay in TUNING.delays
+    }  # fmt: skip
     best, count = min(values, key=lambda delay: values[delay], default=(0, 0))
     if not best or values[best, count] >= bic(0, p):
         return []
