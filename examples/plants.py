@@ -2,9 +2,9 @@
 Eight plants
 ============
 
-The same call, `pem`, for a motor, a filter, an oven, a structure, a bridge in wind, a crystal, a battery and a network. Each
-block makes data as an instrument would give them, fits them, and draws measured and fitted side by side. Nothing is given
-but the data: no order, no band and no starting values.
+The same call, `pem`, for a motor, a filter, an oven, a structure, a bridge in wind, a crystal, a battery and a network.
+Each block makes data as an instrument would give them, fits them, and draws measured and fitted side by side. Nothing is
+given but the data: no order, no band and no starting values.
 """
 
 import control as ct
@@ -59,7 +59,7 @@ def draw_motor(axis):
 panels["motor"] = draw_motor
 
 # %%
-# Filter: the gain of a band-pass of two coupled circuits, from a network analyser. Resonances with their quality factors.
+# Filter: the gain of a band-pass of two coupled circuits, from a network analyser. Resonances with quality factors.
 
 f = np.linspace(80e3, 125e3, 300)
 s = 2j * np.pi * f
@@ -88,7 +88,9 @@ late = np.r_[np.full(4, power[0]), power[:-4]]  # 40 s
 heating = ct.forced_response(ct.c2d(ct.tf([0.3], [240, 1]), 10.0), 10.0 * np.arange(240), late - power[0]).outputs
 temperature = 80 + heating + 0.5 * rng.standard_normal(240)
 oven = phc.pem((power, temperature), dt=10.0, quantity="free")
-print("oven: time constant", oven.time_constants.round(0), "s, dead time", oven.delay, "s, gain", ct.dcgain(oven.system))
+print(
+    "oven: time constant", oven.time_constants.round(0), "s, dead time", oven.delay, "s, gain", ct.dcgain(oven.system)
+)
 assert len(oven.time_constants) == 1
 
 

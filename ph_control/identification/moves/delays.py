@@ -73,9 +73,9 @@ def _responds(fit: FreeFit) -> bool:
 def _likely_delays(fit: FreeFit) -> list[Array]:
     """Return whole samples, as times, by which outputs may come after the inputs, for the poles there are.
 
-    A delay turns the phase of residues; the first samples of a response determine it.  Lags and heavily damped modes can
-    be a rational approximation of it (Pade), which leaves white residuals: they are weighed against a delay without them.
-    One delay of all outputs, or of each its own; the likeliest first.
+    A delay turns the phase of residues; the first samples of a response determine it.  Lags and heavily damped modes
+    can be a rational approximation of it (Pade), which leaves white residuals: they are weighed against a delay without
+    them.  One delay of all outputs, or of each its own; the likeliest first.
     """
     if not fit.projection.inputs or not fit.states or isinstance(fit.channels[0], ResponseMatrix):
         return []
