@@ -3,8 +3,8 @@ Eight plants
 ============
 
 The same call, `pem`, for a motor, a filter, an oven, a structure, a bridge in wind, a crystal, a battery and a network.
-Each block makes data as an instrument would give them, fits them, and draws measured and fitted side by side. Nothing is
-given but the data: no order, no band and no starting values.
+Each block makes data as an instrument would give them, fits them, and draws measured and fitted side by side. Nothing
+is given but the data: no order, no band and no starting values.
 """
 
 import control as ct
