@@ -71,6 +71,17 @@ def test_a_lag_that_only_its_dead_time_tells_from_the_load_is_found():
     assert simulated_percent(result, u, x) > 50
 
 
+@pytest.mark.parametrize("seed", [2, 12])
+def test_a_dead_time_is_none_of_several_lags(seed):
+    # with zeros of their own, lags of a few samples are a rational approximation of it
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([0.0, 1.0], 14), 10)
+    noise = lfilter([0.002], [1.0, -0.95], rng.standard_normal(140)) + 0.002 * rng.standard_normal(140)
+    result = phc.pem((u, chained(u, (np.exp(-1 / 24),), 3) + noise), dt=1.0, quantity="free")
+    assert result.states == 1 and abs(result.delay[0] - 3) <= 1
+    assert abs(result.time_constants[0] - 24) < 2
+
+
 @pytest.mark.parametrize("seed", [4, 10])
 def test_noise_that_wanders_without_end_is_modelled(seed):
     # its autoregression takes the constant away: what was there before has no value at 0 Hz

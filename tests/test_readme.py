@@ -80,5 +80,5 @@ def test_the_fit_on_the_command_line_runs_in_the_folder_that_the_python_code_lef
 def test_every_path_that_the_readme_refers_to_exists():
     targets = re.findall(r"\]\(([^)\s]+)\)", README)
     local = [target.split("#")[0] for target in targets if not target.startswith("http")]
-    assert "docs/measured_beam.png" in local
+    assert "docs/plants.png" in local
     assert [target for target in local if not (ROOT / target).exists()] == []

@@ -19,6 +19,7 @@ from ..regression.sections import Sections
 
 _WELL = 1e6  # condition of the modes of a predictor
 _NEAR = 1e-4  # square of an angle below which a series has all digits
+_BESIDE = 1e-9  # of a bin to a pole that it falls on: the limit of what states and gain make of it has as many digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +148,7 @@ class NoiseSections:
 
     def resolve(self, z: ComplexArray, values: ComplexArray, transposed: bool = False) -> ComplexArray:
         """States `(z - A)^{-1} values`, of values (N, ..., bins); with the transposed `A` if wanted."""
-        k, resolved = self.pairs, np.empty(values.shape, complex)
+        k, resolved, z = self.pairs, np.empty(values.shape, complex), self._off_poles(z)
         first, second = values[0 : 2 * k : 2], values[1 : 2 * k : 2]
         shape = (k, *(1,) * (values.ndim - 1))
         a, b, c = (self.blocks[:, i, j].reshape(shape) for i, j in ((0, 0), (0, 1), (1, 0)))
@@ -159,11 +160,19 @@ class NoiseSections:
             resolved[row] = values[row] / (z - self.A[row, row])
         return resolved
 
+    def _off_poles(self, z: ComplexArray) -> ComplexArray:
+        """Bins (bins,), those that a pole of the plant falls on, as an integrator on that of frequency 0, beside it."""
+        k = self.pairs
+        a, b, c = (self.blocks[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 0)))
+        single = np.diag(self.A)[2 * k :, None]
+        on_pole = np.any((z - a) ** 2 == b * c, axis=0) | np.any(z == single, axis=0)
+        return np.where(on_pole, z * (1 + _BESIDE), z)
+
     def outputs_of_states(self, z: ComplexArray) -> ComplexArray:
         """Transfer `C (z - A)^{-1}`, shape (bins, p, N)."""
         k, p = self.pairs, len(self.C)
         transfer = np.empty((len(z), p, self.states), complex)
-        z = z[:, None, None]
+        z = self._off_poles(z)[:, None, None]
         a, b, c = (self.blocks[:, i, j] for i, j in ((0, 0), (0, 1), (1, 0)))
         over = 1.0 / ((z - a) ** 2 - b * c)
         first, second = self.C[:, 0 : 2 * k : 2], self.C[:, 1 : 2 * k : 2]

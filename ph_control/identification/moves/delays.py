@@ -23,6 +23,7 @@ MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
 _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _SCANS = 3  # searches with the delays that the last one says
 LONGEST_DELAY = 24  # samples
+_SLOWER = (1.15, 1.3)  # than the slowest of several lags that stand for one that comes late
 _LAGS = 4  # of different rates, with which delays are looked for
 
 
@@ -33,7 +34,14 @@ def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
         again = anew(replace(fit.lateness, outputs=delay), fit.offset, None)
         share = fit.projection.rows / again.projection.rows
         now = 0.5 * (fit.criteria.bic - again.criteria.bic * share)
-        if now > gain and _responds(again):
+        # fewer lags that leave white residuals are simpler, as the criterion counts; one that is over within a sample
+        # may be a lag as well as a delay
+        simpler = (
+            best is fit and not fit.order and again.states < fit.states and _samples_late(again) > 1
+            and not leaves_traces(again.projection)
+        )  # fmt: skip
+        least = 0.0 if simpler else gain
+        if now > least and _responds(again):
             best, gain = replace(again, findings=fit.findings, delay_gain=now), now
             if again.order < fit.order and not leaves_traces(again.projection):
                 break
@@ -41,8 +49,10 @@ def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
     tried = {_samples_late(best)}
     for _ in range(_SCANS * (not best.rounding)):
         proposed = _scanned_delays(best) - tried
+        if best is not fit and np.any(best.projection.feedthrough):  # what is fed through comes a sample earlier
+            proposed |= {_samples_late(best) - 1} - tried
         tried, before = tried | proposed, best
-        for samples in sorted(proposed - {0}):
+        for samples in sorted(proposed - {-1, 0}):
             delay = np.full(len(fit.scales), samples * fit.channels[0].dt)
             again = anew(replace(fit.lateness, outputs=delay), fit.offset, None)
             now = 0.5 * (fit.criteria.bic - again.criteria.bic * fit.projection.rows / again.projection.rows)
@@ -63,11 +73,11 @@ def _responds(fit: FreeFit) -> bool:
 def _likely_delays(fit: FreeFit) -> list[Array]:
     """Return whole samples, as times, by which outputs may come after the inputs, for the poles there are.
 
-    A delay turns the phase of residues; the first samples of a response determine it.  Heavily damped modes can be a
-    rational approximation of it (Pade), which leaves white residuals: they are weighed against a delay without them.
-    One delay of all outputs, or of each its own; the likeliest first.
+    A delay turns the phase of residues; the first samples of a response determine it.  Lags and heavily damped modes
+    can be a rational approximation of it (Pade), which leaves white residuals: they are weighed against a delay without
+    them.  One delay of all outputs, or of each its own; the likeliest first.
     """
-    if not fit.projection.inputs or not fit.order or isinstance(fit.channels[0], ResponseMatrix):
+    if not fit.projection.inputs or not fit.states or isinstance(fit.channels[0], ResponseMatrix):
         return []
     some = [cut(recording, slice(0, min(recording.samples, _DELAYS_FROM))) for recording in fit.channels]
     step, count = some[0].dt, len(fit.scales)
@@ -107,22 +117,26 @@ def _likely_delays(fit: FreeFit) -> list[Array]:
 
 
 def _mimicked_delays(late: Callable[[int, ComplexArray], FreeProjection], p: ComplexArray) -> list[int]:
-    """Return samples of the delays that heavily damped modes stand for, the likeliest first; none if these are."""
+    """Return samples of the delays that fast lags and heavily damped modes stand for, the likeliest first."""
 
     def bic(samples: int, p: ComplexArray) -> float:
         projection = late(samples, p)
         rows = projection.rows
         return float(rows * np.log(projection.loss / rows) + projection.unknowns * np.log(rows)) / rows
 
-    light = p[-p.real < MIMICS * np.abs(p)]
-    if 0 < len(light) < len(p):
-        values = {delay: bic(delay, light) for delay in TUNING.delays}
-        best = min(values, key=lambda delay: values[delay])
-        if best and values[best] < bic(0, p):
-            # a sample may be fed through
-            near = ({best - 1, best, best + 1} & set(TUNING.delays)) - {0}
-            return sorted(near, key=lambda delay: values[delay])
-    return []
+    lags = np.sort(p[p.imag == 0])[::-1]  # the slowest first
+    light = p[(-p.real < MIMICS * np.abs(p)) & (p.imag != 0)]
+    kept = [np.concatenate([light, lags[:count]]) for count in range(len(lags) + 1)]
+    kept += [lags[:1] / slower for slower in _SLOWER if len(lags) == len(p)]
+    values = {
+        (delay, k): bic(delay, some) for k, some in enumerate(kept) if 0 < len(some) < len(p)
+        for delay in TUNING.delays
+    }  # fmt: skip
+    best, count = min(values, key=lambda delay: values[delay], default=(0, 0))
+    if not best or values[best, count] >= bic(0, p):
+        return []
+    near = ({best - 1, best, best + 1} & set(TUNING.delays)) - {0}  # a sample may be fed through
+    return sorted(near, key=lambda delay: values[delay, count])
 
 
 def _samples_late(fit: FreeFit) -> int:
@@ -155,9 +169,10 @@ def _scanned_delays(fit: FreeFit) -> set[int]:
             losses.append(FreeProjection(rows.scaled(1.0 / fit.scales).data, p).loss)
         return min(losses), int(np.argmin(losses))
 
-    rates = np.geomspace(20.0 / shortest, 0.5, _LAGS) / channels[0].dt
+    p = fit.projection.p
+    rates = [*np.geomspace(20.0 / shortest, 0.5, _LAGS) / channels[0].dt, *-p.real[(p.imag == 0) & (p.real < 0)]]
     proposed = {min(scanned(np.array([-rate + 0j])) for rate in rates)[1]}
-    return proposed | {scanned(fit.projection.p)[1]} if fit.order else proposed
+    return proposed | {scanned(p)[1]} if fit.order else proposed
 
 
 def _undelayed(fit: FreeFit) -> Lateness:

@@ -79,7 +79,7 @@ def _searched_anew(late: FreeFit, request: Request, with_delay: WithDelay | None
     if anew.interrupted:
         raise KeyboardInterrupt
     anew = replace(anew, findings=late.findings, delay_gain=late.delay_gain).with_delay_open(True)
-    return min((_in_rows_of(free, request) for free in (late, anew) if free.order), key=Choice.cost)
+    return min((_in_rows_of(free, request) for free in (late, anew) if free.states), key=Choice.cost)
 
 
 def _explains(trial: Choice, best: Choice) -> bool:
