@@ -12,7 +12,8 @@ from ..data.channels import Recording
 from ..search.circumstances import Cause, Finding
 
 _SAME = 1e-12  # share of the power by which two columns may differ, as rounding in print makes them
-_BROAD, _RESONANT = 0.4, 0.15  # flatness of the spectrum of a test signal, and of a response
+_BROAD = 0.4  # flatness of the spectrum of a test signal
+_RESONANT = 4.0  # times flatter than what answers to it
 _BLOCKS = 16  # of a record, over which its spectrum is averaged
 
 
@@ -41,7 +42,7 @@ def swapped_columns(records: Sequence[object]) -> list[Finding]:
     for record in records:
         if isinstance(record, Recording) and len(record.u) == len(record.y) == 1 and np.isfinite(record.y).all():
             into, out = _flatness(record.u[0]), _flatness(record.y[0])
-            if into < _RESONANT and out > _BROAD:
+            if out > max(_BROAD, _RESONANT * into):
                 names = f"{record.input_labels[0]!r}"
                 findings.append(Finding(Cause.SWAPPED, (into, out), 0.0, names))
     return findings if len(findings) == len(records) else []

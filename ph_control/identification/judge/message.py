@@ -47,9 +47,11 @@ def _doubts(evidence: Evidence) -> list[str]:
     """Why a fit is doubtful, and what may be done about it."""
     estimates, most = evidence.estimates, evidence.estimates.request.most
     if not (evidence.whiteness < WHITE and estimates.fit_percent < GOOD_FIT):
-        outlying = evidence.shows(Cause.OUTLIERS)
-        why = "some values are far out of the noise" if outlying else "the data reject the structure that was given"
-        return [f"Doubtful, as {why}."]
+        reasons = {
+            Cause.OUTLIERS: "some values are far out of the noise", Cause.SWAPPED: "columns are probably swapped",
+        }  # fmt: skip
+        shown = [reason for cause, reason in reasons.items() if evidence.shows(cause)]
+        return [f"Doubtful, as {(shown or ['the data reject the structure that was given'])[0]}."]
     sentences = [
         f"Doubtful, as the fit is {estimates.fit_percent:.0f} %, less than {GOOD_FIT:.0f} %, and what is left is no "
         "white noise."
