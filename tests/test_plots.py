@@ -25,7 +25,8 @@ from ph_control import (
     spring_chain,
 )
 from ph_control.analysis.spectral_estimate import SpectralEstimate
-from ph_control.plotting.bode_data import Curve, bode_data, features, frequency_grid
+from ph_control.plotting.bode_data import bode_data, features, frequency_grid
+from ph_control.plotting.response_curve import Curve, FrequencyAxis
 from ph_control.plotting.style import extremes
 
 EPS = np.finfo(float).eps
@@ -126,7 +127,7 @@ def test_a_part_of_two_thousand_modes_is_drawn_as_finely_as_a_small_system():
     sys = phc.modes(0.5 * np.arange(1, 2001), 2.0 / np.arange(1, 2001))
     numbers = bode_data(sys, [500.1, 510.1])
     (curve,) = numbers.curves
-    assert curve.crowds(numbers.low, numbers.high) == []
+    assert curve.crowds(numbers.axis) == []
     between = np.count_nonzero((curve.omega > 504.0) & (curve.omega < 504.5))
     # 30 points on each side of a pole and of the zero between two of them
     assert between >= 4 * 29
@@ -140,7 +141,7 @@ def test_the_median_of_a_crowd_is_that_over_frequency_not_over_samples():
     level = np.repeat([0.0, 5.0], [len(even), len(crowded)])[np.argsort(omega)]
     curve = Curve("c", np.sort(omega), np.ones((1, 1, len(omega))), np.geomspace(1.0, 10.0, 5000))
     assert np.median(level) == 5.0
-    x, middle = curve.typical(level, 1.0, 10.0)
+    x, middle = curve.typical(level, FrequencyAxis(1.0, 10.0, 1.0, ""))
     assert np.isnan(middle[-1]) and (np.diff(x) > 0).all()
     assert len(x) > 100 and (middle[:-1] == 0.0).all()
 
@@ -169,8 +170,8 @@ def test_points_near_a_mark_are_told_by_their_part_of_the_gap():
     x = np.array([0.97, 0.99, 1.03, 1.05, 2.0, 2.95, 2.97, 3.1, 100.0])
     expected = [True, False, False, True, True, True, False, True, True]
     curve = Curve("", x, np.ones((1, 1, len(x))), marks)
-    assert curve.visible(0.9, 110.0).tolist() == expected
-    assert Curve("", x, curve.response, np.zeros(0)).visible(0.9, 110.0).all()
+    assert curve.visible(FrequencyAxis(0.9, 110.0, 1.0, "")).tolist() == expected
+    assert Curve("", x, curve.response, np.zeros(0)).visible(FrequencyAxis(0.9, 110.0, 1.0, "")).all()
 
 
 # --- phase and magnitude ---

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import control as ct
@@ -12,13 +12,15 @@ from numpy.typing import ArrayLike
 from scipy.linalg import matrix_balance
 
 from .. import _checks
-from .._types import Array, ComplexArray, Indices, Mask
+from .._types import Array
 from .._units import parted
 from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
 from ..numerics.rational import poles as poles_of
 from ..systems.base import in_normal_form
-from .inputs import Subject, as_measured, is_fit, models_around, subjects_of, timebase, title_of
+from .inputs import Subject, as_measured, models_around, subjects_of, timebase, title_of
+from .response_curve import Curve, FrequencyAxis, band_of, distance, is_logarithmic
+from .response_picture import Responses
 
 _PER_DECADE = 200
 _AROUND_ALL = 6000  # grid points on each side of all poles and zeros together
@@ -27,175 +29,7 @@ _CLOSEST_BAND = 1e-6
 _CLOSEST = 1e-8  # relative distance of the nearest grid points to a pole or zero that is an eigenvalue with rounding
 _CLOSEST_PH = 1e-12  # and to one of a PH system: there a nearly cancelled resonance runs off the picture too
 _NEGLIGIBLE = 1e-9  # relative size below which a computed pole or zero is at the origin
-_SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
-_DOT = 1 / 1200  # of the width of a picture
-_CROWD = 72  # poles and zeros within so much of that width: a dot cannot tell one from the next
-_CROWD_WIDTH = 0.06
-_BINS = 150  # of a picture, each eight dots wide
-_PER_BIN = 256  # levels of which a median is taken
-_SEEN = 1e-6  # relative distance of samples on both sides of a pole or zero that no picture resolves
-_BEYOND = 1e4  # decibels
-_LONE = 40.0  # decibels by which a few samples may stick out of all others before they leave the picture
 _COHERENT = 0.5  # coherence below which dots are pale
-
-
-@dataclass(frozen=True)
-class BodeBand:
-    """Confidence band of a curve: `magnitude` in decibels and `phase` in degrees, shape (2, N), at `omega`."""
-
-    label: str
-    omega: Array
-    magnitude: Array
-    phase: Array
-
-
-@dataclass(frozen=True)
-class Curve:
-    """A response to draw, shape (p, m, N), at `omega`, shape (N,), rad per unit time.
-
-    `singular` holds its poles and zeros on the imaginary axis, ascending; spectral estimates have a `coherence`.
-    """
-
-    label: str
-    omega: Array
-    response: ComplexArray
-    singular: Array
-    nyquist: float | None = None
-    coherence: Array | None = None
-    tabulated: bool = False
-    band: BodeBand | None = None
-
-    @property
-    def doubtful(self) -> Mask:
-        """Where it says more about noise and leakage than about the system."""
-        return np.zeros(len(self.omega), bool) if self.coherence is None else self.coherence < _COHERENT
-
-    @property
-    def vanishes(self) -> bool:
-        """Whether the response is zero throughout, of which a logarithmic picture shows nothing."""
-        return not np.any(self.response)
-
-    def magnitude(self, i: int, j: int) -> Array:
-        """Decibels; NaN where infinite or zero."""
-        return decibels(self.response[i, j])
-
-    def phase(self, i: int, j: int, *, unwrap: bool = True) -> Array:
-        """Degrees; NaN where the response is infinite or zero."""
-        values = self.response[i, j]
-        usable = np.isfinite(values) & (values != 0)
-        angle = np.full(values.shape, np.nan)
-        angle[usable] = np.angle(values[usable])
-        # without losses half a turn has no sign; with small ones the phase falls at a pole
-        turned = (values.imag == 0) & (values.real < 0) & usable
-        angle[turned] = np.pi if turned[np.argmax(usable)] else -np.pi
-        if unwrap:
-            # a pole on the axis turns the phase by half a turn in no time, which is not a wrap
-            angle[usable] = np.unwrap(angle[usable], discont=1.5 * np.pi)
-        return np.degrees(angle)
-
-    def phase_band(self, i: int, j: int, *, unwrap: bool = True) -> Array:
-        """Ends of the band of phases, shape (2, N), by whole turns next to the curve."""
-        assert self.band is not None
-        phase, ends = self.phase(i, j, unwrap=unwrap), self.band.phase
-        known = np.isfinite(phase)
-        if not known.any():
-            return ends
-        beside = np.interp(np.log(self.band.omega), np.log(self.omega[known]), phase[known])
-        return np.asarray(ends + 360.0 * np.round((beside - ends.mean(axis=0)) / 360.0))
-
-    def phase_near(self, i: int, j: int, other: Curve) -> Array:
-        """Degrees within half a turn of the phase of another curve."""
-        phase, beside = self.phase(i, j, unwrap=False), other.phase(i, j)
-        known = np.isfinite(beside)
-        if not known.any():
-            return phase
-        beside = np.interp(np.log(self.omega), np.log(other.omega[known]), beside[known])
-        return np.asarray(phase + 360.0 * np.round((beside - phase) / 360.0))
-
-    def visible(self, low: float, high: float) -> Mask:
-        """Where the curve counts for the range of a picture: inside, and not on an infinite peak.
-
-        Nor within a dot of one: between two peaks that a picture cannot part, it would be as high as they are close.
-        """
-        inside = (self.omega >= low) & (self.omega <= high)
-        if not len(self.singular):
-            return inside
-        fenced = np.concatenate([[0.0], self.singular, [2 * self.singular[-1]]])
-        above = np.clip(np.searchsorted(fenced, self.omega), 1, len(fenced) - 1)
-        least = np.maximum(_SHOWN * (fenced[above] - fenced[above - 1]), _DOT * np.log(high / low) * self.omega)
-        return inside & (distance(self.omega, self.singular) >= least)
-
-    def shown(self, i: int, j: int, low: float, high: float) -> Array:
-        """Decibels that a picture must hold: no infinite peak and, of tabulated responses, no lone outlier."""
-        kept = self.magnitude(i, j)[self.visible(low, high)]
-        kept = kept[np.isfinite(kept)]
-        if self.tabulated and len(kept):
-            bottom, top = np.quantile(kept, [0.02, 0.98])
-            kept = kept[(kept >= bottom - _LONE) & (kept <= top + _LONE)]
-        if self.band is not None:
-            # beyond nine tenths of it the band may run off as its curve does: next to a resonance it is as high
-            seen = self.band.magnitude[:, replace(self, omega=self.band.omega).visible(low, high)]
-            kept = np.concatenate([kept, np.quantile(seen, [0.05, 0.95]) if seen.size else []])
-        return kept
-
-    def crowds(self, low: float, high: float) -> list[tuple[float, float]]:
-        """Ranges, ascending and apart, where a picture from `low` to `high` cannot part poles from zeros."""
-        marks = self.singular[(self.singular >= low) & (self.singular <= high)]
-        first, last = marks[: 1 - _CROWD], marks[_CROWD - 1 :]
-        close = np.log(last / first) < _CROWD_WIDTH * np.log(high / low)
-        starts, ends = first[close], last[close]
-        if not len(starts):
-            return []
-        apart = np.flatnonzero(starts[1:] > ends[:-1])
-        return list(zip(starts[[0, *(apart + 1)]].tolist(), ends[[*apart, -1]].tolist(), strict=True))
-
-    def typical(self, level: Array, low: float, high: float) -> tuple[Array, Array]:
-        """Median of `level` over frequency in bins of the crowds, with a NaN between any two of these.
-
-        Between a pole and the next zero a lossless response passes through all levels: lines that close fill the
-        picture, and tell nothing of the size of what they fill it with.
-        """
-        log_omega, level = np.log(self.omega[np.isfinite(level)]), level[np.isfinite(level)]
-        between = 0.5 * (log_omega[1:] + log_omega[:-1])
-        omega, middle = [np.zeros(0)], [np.zeros(0)]
-        for start, end in self.crowds(low, high):
-            bins = max(1, round(_BINS * np.log(end / start) / np.log(high / low)))
-            points = np.geomspace(start, end, bins * _PER_BIN).reshape(bins, _PER_BIN)
-            # of the nearest samples: those on both sides of a peak are no line
-            levels = level[np.searchsorted(between, np.log(points))]
-            omega.append(np.append(points[:, _PER_BIN // 2], end))
-            middle.append(np.append(np.median(levels, axis=1), np.nan))
-        return np.concatenate(omega), np.concatenate(middle)
-
-    def gaps(self) -> Indices:
-        """Places before which a line must break: between the two samples there the response is infinite or zero."""
-        if self.tabulated or not len(self.singular):
-            return np.zeros(0, np.intp)
-        k = np.unique(np.searchsorted(self.omega, self.singular))
-        k = k[(k > 0) & (k < len(self.omega))]
-        # where the samples come close to a peak from both sides it runs off the picture, and the phase steps
-        return k[self.omega[k] - self.omega[k - 1] > _SEEN * self.omega[k]]
-
-
-@dataclass(frozen=True)
-class BodeData:
-    """All that a Bode plot draws: systems, their curves, bands, dots, and the ends of the frequency axis."""
-
-    systems: list[Any]
-    curves: list[Curve]
-    measured: Curve | None
-    low: float
-    high: float
-    input_labels: list[str]
-    output_labels: list[str]
-    title: str
-
-    @property
-    def nyquist(self) -> list[float]:
-        """Nyquist frequencies inside the picture, ascending."""
-        everything = [*self.curves, *([self.measured] if self.measured else [])]
-        limits = {curve.nyquist for curve in everything if curve.nyquist is not None}
-        return sorted(limit for limit in limits if self.low <= limit <= self.high)
 
 
 def bode_data(
@@ -212,8 +46,10 @@ def bode_data(
     level: float = 0.95,
     label: str | Sequence[str] | None = None,
     data_label: str | None = None,
-) -> BodeData:
-    """Compute what `bode_plot` draws; its arguments, and the size of the unit of frequencies in rad per unit time."""
+    unit_name: str = "",
+    scale: str | None = "log",
+) -> Responses:
+    """Compute what `bode_plot` draws; its arguments, and the unit of frequencies with its size in rad per unit time."""
     if omega_num is not None:
         _checks.whole_number("omega_num", omega_num, 1)
     subjects = subjects_of(sysdata, label, tabulated=True)
@@ -222,40 +58,18 @@ def bode_data(
     measured = _measurement(data, first, segments, intersample, data_label)
     extents = np.concatenate([_extent(one.system, measured) for one in subjects])
     grid, low, high = _frequencies(extents, measured, omega, omega_limits, unit)
+    axis = FrequencyAxis(low, high, unit, unit_name, is_logarithmic(scale, low, high))
     curves = [_curve(one, grid, low, high, omega_num) for one in subjects]
     for k, (curve, drawn) in enumerate(zip(curves, models, strict=True)):
         if drawn is not None:
             near = frequency_grid(curve.singular, low, high, False, omega_num, _AROUND_BAND, _CLOSEST_BAND)
-            curves[k] = replace(curve, band=band_of(drawn, near if grid is None else grid, level))
-    observed = [one.given.observed_system if is_fit(one.given) else one.system for one in subjects]
+            curves[k] = replace(curve, bands={(0, 0): band_of(drawn, near if grid is None else grid, level)})
     title = title_of("Bode plot", subjects, label is not None)
     if title == "Bode plot" and first.issiso():
         source, sensor = (parted(one[0])[0] for one in (first.input_labels, first.output_labels))
         title += f", {source} to {sensor}" * (not {source, sensor} & {"u", "y", "u[0]", "y[0]"})
-    return BodeData(observed, curves, measured, low, high, first.input_labels, first.output_labels, title)
-
-
-def decibels(values: ComplexArray) -> Array:
-    """Decibels; NaN where infinite or zero."""
-    size = np.abs(values)
-    usable = np.isfinite(size) & (size > 0)
-    return np.where(usable, 20.0 * np.log10(np.where(usable, size, 1.0)), np.nan)
-
-
-def degrees_from(low: float, values: ComplexArray) -> Array:
-    """Degrees from `low` to a turn above it; NaN where the response is infinite or zero."""
-    usable = np.isfinite(values) & (values != 0)
-    angle = np.degrees(np.angle(np.where(usable, values, 1.0)))
-    return np.where(usable, np.mod(angle - low, 360.0) + low, np.nan)
-
-
-def band_of(models: Any, omega: Array, level: float, **entry: int) -> BodeBand:
-    """Band of models drawn around a system."""
-    with np.errstate(divide="ignore"):
-        size = 20.0 * np.log10(models.magnitude_band(omega, level, **entry))
-    # infinite where draws have their pole, zero where they have their zero: beyond any picture
-    size = np.clip(size, -_BEYOND, _BEYOND)
-    return BodeBand(f"{100 * level:g} % band", omega, size, models.phase_band(omega, level, **entry))
+    dots = [] if measured is None else [measured]
+    return Responses(curves, dots, axis, first.output_labels, first.input_labels, title)
 
 
 def _measurement(data: Any, sys: Any, segments: int, intersample: str, label: str | None) -> Curve | None:
@@ -278,7 +92,7 @@ def _measurement(data: Any, sys: Any, segments: int, intersample: str, label: st
         )
     curve = _tabulated(data, label or "data")
     if isinstance(data, SpectralEstimate) and data.segments > 1:
-        return replace(curve, coherence=data.coherence[data.omega > 0])
+        return replace(curve, doubtful=np.array([data.coherence[data.omega > 0] < _COHERENT]))
     return curve
 
 
@@ -287,7 +101,7 @@ def _tabulated(data: ct.FrequencyResponseData, label: str) -> Curve:
     if not seen.any():
         raise StructureError("the frequency response data have no frequency above 0; nothing can be drawn")
     nyquist = data.nyquist if isinstance(data, SpectralEstimate) else _nyquist(data)
-    return Curve(label, data.omega[seen], data.frdata[:, :, seen], np.zeros(0), nyquist, tabulated=True)
+    return Curve(label, data.omega[seen], data.frdata[:, :, seen], nyquist=nyquist, tabulated=True)
 
 
 def _curve(subject: Subject, grid: Array | None, low: float, high: float, count: int | None) -> Curve:
@@ -461,10 +275,3 @@ def frequency_grid(
     grid = np.unique(np.concatenate(parts))
     clear = distance(grid, marks) > (0.0 if exact else 0.1 * closest * grid)
     return grid[(grid >= low) & (grid <= high) & clear]
-
-
-def distance(x: Array, marks: Array) -> Array:
-    """Distance of each `x` to the nearest of the ascending marks."""
-    fenced = np.concatenate([[-np.inf], marks, [np.inf]])
-    above = np.searchsorted(fenced, x)
-    return np.minimum(x - fenced[above - 1], fenced[above] - x)

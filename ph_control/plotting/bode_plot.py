@@ -8,38 +8,20 @@ from typing import TYPE_CHECKING, Any
 import control as ct
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator, MultipleLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._types import Array
 from .._units import unit_for
 from ..analysis.margins import margin
 from ..exceptions import StructureError
-from .bode_data import BodeData, bode_data
-from .style import (
-    BAND,
-    DOTS,
-    LineStyle,
-    Look,
-    PlainLogFormatter,
-    frequency_axis,
-    gain_label,
-    labelled,
-    picture,
-    plain,
-    told_gain_unit,
-)
+from .bode_data import bode_data
+from .inputs import is_fit, subjects_of
+from .response_picture import LIMIT, POLAR, Responses, Scale, draw_responses
+from .style import LineStyle, Look, frequency_axis, plain, told_gain_unit
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-_MANY = 50  # poles and zeros
-_NARROW = 100.0  # ratio of the ends of the frequency axis below which its labels are plain numbers
-_CROWD_BELOW = 2.0  # place among what is drawn, above the grid
-
-_PALE_DOTS: dict[str, Any] = {**DOTS, "markersize": 2.5, "color": "0.78", "zorder": 2.1}
-_LIMIT: dict[str, Any] = {"color": "0.3", "linestyle": ":", "linewidth": 1.0}
 _MARGIN: dict[str, Any] = {"linestyle": "-", "linewidth": 1.8, "zorder": 2.8}
 
 
@@ -54,6 +36,7 @@ def bode_plot(
     level: float = 0.95,
     omega_limits: ArrayLike | None = None,
     omega_num: int | None = None,
+    scale: str = "log",
     Hz: bool = False,
     dB: bool = True,
     deg: bool = True,
@@ -93,6 +76,8 @@ def bode_plot(
         Ends of the frequency axis, in Hz if `Hz` is true, otherwise in rad per unit time.
     omega_num : int, optional
         Number of frequencies between the ends; those around poles and zeros come on top.
+    scale : {'log', 'linear'}
+        Scale of the frequency axis.
     Hz : bool
         Frequency axis in Hz instead of rad per unit time; where no unit of time is known, times are taken for seconds.
     dB, deg : bool
@@ -164,12 +149,13 @@ def bode_plot(
         dB=dB, deg=deg, plot_magnitude=plot_magnitude, plot_phase=plot_phase, wrap_phase=wrap_phase,
         display_margins=display_margins,
     )  # fmt: skip
-    rows = [name for name, wanted in (("magnitude", plot_magnitude), ("phase", plot_phase)) if wanted]
+    rows = [name for name, wanted in zip(POLAR, (plot_magnitude, plot_phase), strict=True) if wanted]
     if not rows:
         raise StructureError("plot_magnitude and plot_phase are both False; there is nothing to draw")
     numbers = bode_data(
         sysdata, omega, data, segments=segments, intersample=intersample, omega_limits=omega_limits,
         omega_num=omega_num, unit=unit, confidence=confidence, level=level, label=label, data_label=data_label,
+        unit_name=unit_name, scale=scale,
     )  # fmt: skip
     outputs, inputs, kinds = len(numbers.output_labels), len(numbers.input_labels), len(rows)
     if display_margins and (outputs, inputs) != (1, 1):
@@ -177,128 +163,28 @@ def bode_plot(
             f"margins are those of one port; the systems have {outputs} outputs and {inputs} inputs: draw the loop "
             "sys[i, j]"
         )
-    height = 1.6 + 1.6 * kinds if outputs == 1 else 1.9 * kinds * outputs
-    meaning = "magnitude above phase for each output" if kinds == 2 else ""
+    gain_unit = told_gain_unit(numbers, data) if gain_unit is None else gain_unit
+    drawing = Scale(dB, deg, wrap_phase)
     with look.context():
-        drawn = picture(
-            look, ax, (kinds * outputs, inputs), (max(6.4, 3.8 * inputs), height), meaning=meaning, sharex=True
-        )
-        for (row, j), axis in np.ndenumerate(drawn.axes):
-            if rows[row % kinds] == "magnitude":
-                drawn.lines[row, j] = _draw_magnitudes(axis, numbers, row // kinds, j, unit, look, dB)
-            else:
-                drawn.lines[row, j] = _draw_phases(axis, numbers, row // kinds, j, unit, look, deg, wrap_phase)
-            _draw_limits(axis, [limit / unit for limit in numbers.nyquist], unit_name)
-            look.lattice(axis, minor="x")
-        gain_unit = told_gain_unit(numbers, data) if gain_unit is None else gain_unit
-        gain = gain_label(gain_unit) if dB else labelled("Magnitude", gain_unit)
-        phase = "Phase [deg]" if deg else "Phase [rad]"
-        _label_axes(drawn.axes, numbers, unit, unit_name, [gain if kind == "magnitude" else phase for kind in rows])
+        meaning = "magnitude above phase for each output" if kinds == 2 else ""
+        drawn = draw_responses(numbers, look, ax, rows, drawing, [gain_unit] * outputs, meaning=meaning)
         if display_margins:
             panels = dict(zip(rows, drawn.axes[:, 0], strict=True))
-            _draw_margins(panels, numbers, drawn.lines[0, 0], unit, unit_name, dB, deg)
+            subjects = subjects_of(sysdata, None, tabulated=True)
+            observed = [one.given.observed_system if is_fit(one.given) else one.system for one in subjects]
+            _draw_margins(panels, numbers, observed, drawn.lines[0, 0], drawing)
         # a curve that is nowhere must at least be told
         legend = look.legend(drawn.axes[0, -1], 1 if any(curve.vanishes for curve in numbers.curves) else 2)
         return drawn.finished(numbers.title, legend)
 
 
-def _draw_magnitudes(
-    axis: Axes, numbers: BodeData, i: int, j: int, unit: float, look: Look, decibels: bool
-) -> list[Any]:
-    def scaled(level: Array) -> Array:
-        return level if decibels else 10.0 ** (level / 20.0)
-
-    levels = [scaled(curve.magnitude(i, j)) for curve in numbers.curves]
-    bands = [None if curve.band is None else scaled(curve.band.magnitude) for curve in numbers.curves]
-    dots = None if numbers.measured is None else scaled(numbers.measured.magnitude(i, j))
-    lines = _draw_panel(axis, numbers, levels, bands, dots, unit, look, medians=True)
-    everything = numbers.curves if numbers.measured is None else [*numbers.curves, numbers.measured]
-    values = np.concatenate([curve.shown(i, j, numbers.low, numbers.high) for curve in everything])
-    if not decibels:
-        axis.set_yscale("log")
-    if len(values):
-        margin = 5.0 + 0.05 * np.ptp(values)
-        axis.set_ylim(*scaled(np.array([values.min() - margin, values.max() + margin])))
-    if decibels:
-        axis.yaxis.set_major_locator(MaxNLocator(nbins=8, steps=[1, 2, 4, 5, 10]))
-    return lines
-
-
-def _draw_phases(
-    axis: Axes, numbers: BodeData, i: int, j: int, unit: float, look: Look, degrees: bool, wrap: bool
-) -> list[Any]:
-    size, first, measured = 1.0 if degrees else np.pi / 180.0, numbers.curves[0], numbers.measured
-    phases = [size * curve.phase(i, j, unwrap=not wrap) for curve in numbers.curves]
-    bands = [None if curve.band is None else size * curve.phase_band(i, j, unwrap=not wrap) for curve in numbers.curves]
-    dots = None
-    if measured is not None:
-        dots = size * (measured.phase(i, j, unwrap=False) if wrap else measured.phase_near(i, j, first))
-    lines = _draw_panel(axis, numbers, phases, bands, dots, unit, look)
-    values = np.concatenate([*phases, [] if dots is None else dots]) / size
-    low, high = min(-90.0, float(np.nanmin(values, initial=0.0))), max(90.0, float(np.nanmax(values, initial=0.0)))
-    step = 90.0 if high - low <= 450.0 else 180.0
-    axis.set_ylim(size * (low - 0.25 * step), size * (high + 0.25 * step))
-    if high - low <= 1440.0:
-        axis.yaxis.set_major_locator(MultipleLocator(size * step))
-        axis.yaxis.set_minor_locator(MultipleLocator(size * step / 2.0))
-    if not degrees:
-        axis.yaxis.set_major_formatter(lambda value, _: f"{value / np.pi:g}π" if value else "0")
-    return lines
-
-
-def _draw_panel(
-    axis: Axes, numbers: BodeData, values: list[Array], bands: list[Array | None], dots: Array | None, unit: float,
-    look: Look, medians: bool = False,
-) -> list[Any]:  # fmt: skip
-    """Curves, medians where they close to a block, bands around them, and the measurement; lines of all but bands."""
-    lines: list[Any] = []
-    for k, (curve, value) in enumerate(zip(numbers.curves, values, strict=True)):
-        label = plain(f"{curve.label}: zero" if curve.vanishes else curve.label)
-        properties, breaks, crowds = look.curve(k), curve.gaps(), curve.crowds(numbers.low, numbers.high)
-        if len(breaks):
-            # what stands between two breaks is no line
-            properties |= {"marker": ".", "markersize": 4.0}
-        if len(curve.singular) > _MANY and "linewidth" not in look.line:
-            # many resonances are told apart by thinner lines only
-            properties["linewidth"] = 0.7
-        if crowds:
-            properties["zorder"] = _CROWD_BELOW
-        omega = np.insert(curve.omega, breaks, np.nan) / unit
-        lines += axis.plot(omega, np.insert(value, breaks, np.nan), label=label, **properties)
-        # a block is pale, and nothing else: above such curves, below all others
-        for start, end in crowds:
-            pale: dict[str, Any] = {"color": axis.get_facecolor(), "alpha": 0.7, "linewidth": 0.0}
-            axis.axvspan(start / unit, end / unit, zorder=_CROWD_BELOW + 0.05, **pale)
-    for curve, value, ends, line in zip(numbers.curves, values, bands, lines, strict=True):
-        omega, middle = curve.typical(value, numbers.low, numbers.high)
-        if medians and len(omega):
-            label = plain(f"{curve.label}: median where resonances are closer than dots")
-            axis.plot(omega / unit, middle, label=label, color=line.get_color(), linewidth=1.6, zorder=3.1)
-        if curve.band is not None and ends is not None:
-            label = plain(curve.band.label)
-            axis.fill_between(curve.band.omega / unit, *ends, label=label, color=line.get_color(), **BAND)
-    if numbers.measured is not None and dots is not None:
-        omega, doubtful = numbers.measured.omega / unit, numbers.measured.doubtful
-        lines += axis.plot(omega[~doubtful], dots[~doubtful], label=plain(numbers.measured.label), **DOTS)
-        if doubtful.any():
-            lines += axis.plot(omega[doubtful], dots[doubtful], label="coherence below 0.5", **_PALE_DOTS)
-    return lines
-
-
-def _draw_limits(axis: Axes, limits: list[float], unit_name: str) -> None:
-    values = ", ".join(f"{limit:.4g}" for limit in limits)
-    for k, limit in enumerate(limits):
-        label = "_" if k else plain(f"Nyquist frequency ({values} {unit_name})")
-        axis.axvline(limit, label=label, zorder=1, **_LIMIT)
-
-
 def _draw_margins(
-    panels: dict[str, Axes], numbers: BodeData, lines: list[Any], unit: float, unit_name: str, dB: bool, deg: bool
+    panels: dict[str, Axes], numbers: Responses, systems: list[Any], lines: list[Any], scale: Scale
 ) -> None:
     """Distances from -180 degrees where the gain is 1, and from a gain of 1 where the phase is -180 degrees."""
-    size = 1.0 if deg else np.pi / 180.0
+    size, unit, unit_name = scale.angle, numbers.axis.unit, numbers.axis.unit_name
     texts = []
-    for system, curve, line in zip(numbers.systems, numbers.curves, lines[: len(numbers.curves)], strict=True):
+    for system, curve, line in zip(systems, numbers.curves, lines[: len(numbers.curves)], strict=True):
         gm, pm, wcg, wcp = margin(system)
         style = {"label": "_", "color": line.get_color(), **_MARGIN}
         decibels = 20.0 * np.log10(gm) if gm else -np.inf
@@ -308,12 +194,12 @@ def _draw_margins(
             critical = -180.0 + 360.0 * np.round((at - (pm - 180.0)) / 360.0)
             low, high = panels["phase"].get_ylim()
             panels["phase"].set_ylim(min(low, size * (critical - 20.0)), max(high, size * (critical + 20.0)))
-            panels["phase"].axhline(size * critical, **_LIMIT)
+            panels["phase"].axhline(size * critical, **LIMIT)
             panels["phase"].plot([wcp / unit] * 2, [size * critical, size * (critical + pm)], **style)
         if "magnitude" in panels:
-            panels["magnitude"].axhline(0.0 if dB else 1.0, **_LIMIT)
+            panels["magnitude"].axhline(0.0 if scale.dB else 1.0, **LIMIT)
             if np.isfinite(decibels):
-                panels["magnitude"].plot([wcg / unit] * 2, [-decibels, 0.0] if dB else [1.0 / gm, 1.0], **style)
+                panels["magnitude"].plot([wcg / unit] * 2, [-decibels, 0.0] if scale.dB else [1.0 / gm, 1.0], **style)
         gain = f"{decibels:.4g} dB at {wcg / unit:.4g} {unit_name}" if np.isfinite(decibels) else f"{decibels:g}"
         phase = f"{pm:.4g}° at {wcp / unit:.4g} {unit_name}" if np.isfinite(pm) else f"{pm:g}"
         name = f"{curve.label}: " if len(numbers.curves) > 1 else ""
@@ -321,19 +207,3 @@ def _draw_margins(
     axis = next(iter(panels.values()))
     box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5}
     axis.text(0.01, 0.02, "\n".join(texts), transform=axis.transAxes, fontsize="x-small", zorder=4, bbox=box)
-
-
-def _label_axes(axes: NDArray[Any], numbers: BodeData, unit: float, unit_name: str, quantities: list[str]) -> None:
-    for (row, j), axis in np.ndenumerate(axes):
-        i, kind = divmod(row, len(quantities))
-        axis.set_xscale("log")
-        axis.set_xlim(numbers.low / unit, numbers.high / unit)
-        if numbers.high < _NARROW * numbers.low:
-            axis.xaxis.set_major_formatter(PlainLogFormatter())
-            axis.xaxis.set_minor_formatter(PlainLogFormatter(labelOnlyBase=False))
-        if j == 0:
-            axis.set_ylabel(quantities[kind])
-        if row == len(axes) - 1:
-            axis.set_xlabel(labelled("Frequency", unit_name))
-        if axes.size > len(quantities) and kind == 0:
-            axis.set_title(plain(f"{numbers.input_labels[j]} to {numbers.output_labels[i]}"), loc="left")

@@ -21,12 +21,12 @@ from ..numerics.mode_shapes import aligned_shapes, mac, phase_collinearity
 from .frf_plot import (
     MODEL_LINE,
     NARROWEST,
-    MeasuredMatrix,
     ModelSource,
     chosen_channels,
     measured_by,
     model_source,
 )
+from .response_curve import Curve
 from .style import (
     DOTS,
     ZERO,
@@ -429,7 +429,7 @@ class ModeCircle:
     input_label: str
 
 
-def mode_circle(source: ModelSource, measured: list[MeasuredMatrix], mode: int, output: Any, input: Any) -> ModeCircle:
+def mode_circle(source: ModelSource, measured: list[Curve], mode: int, output: Any, input: Any) -> ModeCircle:
     """Numbers of one panel of `circle_plot`."""
     p = source.poles[mode]
     d, width = float(abs(p)), float(abs(p.real))

@@ -5,15 +5,14 @@ Each function returns a `control.ControlPlot`, and draws on given axes or a new 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator, MultipleLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 from scipy.special import ndtri
@@ -24,9 +23,10 @@ from .._types import Array, ComplexArray, Indices, Mask
 from .._units import unit_for
 from ..exceptions import StructureError
 from ..numerics.mode_shapes import stable_poles
-from .bode_data import decibels, degrees_from
 from .fit_plot import Outputs, draw_outputs, line_of_model
 from .inputs import measurements_of, recording_in, table_in
+from .response_curve import Curve, FrequencyAxis, decibels, is_logarithmic
+from .response_picture import Responses, Scale, draw_part
 from .style import (
     BAND,
     DOTS,
@@ -68,6 +68,7 @@ def response_comparison_plot(
     time_unit: str | None = None,
     Hz: bool = False,
     gain_unit: str | None = None,
+    scale: str | None = None,
     heading: str,
     ax: Any = None,
     **style: Unpack[FrameStyle],
@@ -78,34 +79,46 @@ def response_comparison_plot(
     """
     look = Look.of(style, FrameStyle)
     unit, unit_name = frequency_axis(Hz, time_unit)
-    frequency, cut = omega / unit, _phase_cut(measured)
+    seen = omega > 0
+    values, known = predicted[:, None, None, seen], [_measured(omega[seen], measured[None, None, seen])]
+    axis = _axis_of(omega[seen], scale, unit, unit_name)
+    models = _modelled(omega[seen], values, labels)
+    errors = [
+        replace(one, response=known[0].response - one.response, line=line_of_model(k)) for k, one in enumerate(models)
+    ]
+    # the smaller error is drawn over the larger
+    order = np.argsort([-float(np.nanmean(np.abs(error.response) ** 2)) for error in errors])
+    responses = Responses(models, known, axis, [""], [""])
+    left = Responses([errors[k] for k in order], [], axis, [""], [""])
     with look.context():
         drawn = picture(look, ax, (3, 1), (7.2, 5.55), tied=3, height_ratios=[2.4, 1.7, 1.7])
-        gains, phases, errors = drawn.axes[:, 0]
-        scales: list[Callable[[ComplexArray], Array]] = [decibels, partial(degrees_from, cut)]
-        for row, of in enumerate(scales):
-            axis = drawn.axes[row, 0]
-            drawn.lines[row, 0] = axis.plot(frequency, of(measured), label="measured", zorder=2, **SAMPLES)
-            for k, (label, values) in enumerate(zip(labels, predicted, strict=True)):
-                line = axis.plot(frequency, of(values), label=plain(label), **_POINTS, **line_of_model(k))
-                drawn.lines[row, 0] += line
-        drawn.lines[2, 0] = []
-        # the smaller error is drawn over the larger
-        for k in np.argsort([float(np.nanmean(np.abs(measured - values) ** 2)) for values in predicted])[::-1]:
-            properties = {"label": plain(labels[k]), "linewidth": 1.0, **line_of_model(int(k))}
-            drawn.lines[2, 0] += errors.plot(frequency, decibels(measured - predicted[k]), **properties)
-        # models on their peaks run out of the picture
-        known = decibels(measured)[np.isfinite(decibels(measured))]
-        if len(known):
-            margin = 5.0 + 0.25 * float(np.ptp(known))
-            gains.set_ylim(float(known.min()) - margin, float(known.max()) + margin)
-        gains.set(ylabel=gain_label(gain_unit))
-        phases.set(ylabel="Phase [deg]", ylim=(cut - 20.0, cut + 380.0))
-        phases.yaxis.set_major_locator(MultipleLocator(90.0))
-        errors.set(ylabel=gain_label(gain_unit, "Error"), xlabel=labelled("Frequency", unit_name))
-        for axis in (gains, phases, errors):
-            _over_frequency(axis, frequency, look)
+        for row, (part, of) in enumerate((("magnitude", responses), ("phase", responses), ("magnitude", left))):
+            *curves, last = draw_part(drawn.axes[row, 0], of, part, 0, 0, look, Scale())
+            drawn.lines[row, 0] = [last, *curves] if of.measured else [*curves, last]
+        for axes, label in zip(
+            drawn.axes[:, 0], (gain_label(gain_unit), "Phase [deg]", gain_label(gain_unit, "Error")), strict=True
+        ):
+            axes.set_ylabel(label)
+        drawn.axes[2, 0].set_xlabel(labelled("Frequency", unit_name))
         return drawn.finished(heading)
+
+
+def _axis_of(omega: Array, scale: str | None, unit: float, unit_name: str) -> FrequencyAxis:
+    """Axis of tabulated frequencies; of a single one a little on both sides."""
+    low, high = (omega[0], omega[-1]) if len(omega) > 1 else (0.9 * omega[0], 1.1 * omega[0])
+    return FrequencyAxis(float(low), float(high), unit, unit_name, is_logarithmic(scale, low, high, omega))
+
+
+def _measured(omega: Array, response: ComplexArray) -> Curve:
+    return Curve("measured", omega, response, tabulated=True, line=SAMPLES)
+
+
+def _modelled(omega: Array, responses: ComplexArray, labels: Sequence[str]) -> list[Curve]:
+    """Models at the points of a measurement."""
+    return [
+        Curve(label, omega, values, tabulated=True, line=_POINTS | line_of_model(k))
+        for k, (label, values) in enumerate(zip(labels, responses, strict=True))
+    ]
 
 
 def channel_comparison_plot(
@@ -117,6 +130,7 @@ def channel_comparison_plot(
     labels: Sequence[str],
     time_unit: str | None = None,
     Hz: bool | None = None,
+    scale: str | None = None,
     detail: Any = "auto",
     heading: str,
     ax: Any = None,
@@ -132,7 +146,16 @@ def channel_comparison_plot(
     count = min(_CHANNELS, len(names))
     unit, unit_name = frequency_axis(Hz, time_unit)
     part: slice | None = None
-    if not spectral:
+    responses: Responses | None = None
+    if spectral:
+        seen = abscissa > 0
+        omega, models = abscissa[seen], predicted[:, :, None, seen]
+        lines_of_models = [
+            replace(one, line=dict(one.line) | {"marker": ""}) for one in _modelled(omega, models, labels)
+        ]
+        known = replace(_measured(omega, measured[:, None, seen]), line=DOTS)
+        responses = Responses(lines_of_models, [known], _axis_of(omega, scale, unit, unit_name), names, [""])
+    else:
         # of the output that is explained worst
         left = np.nanmean(np.abs(measured - predicted) ** 2, axis=(0, 2)) / np.nanvar(measured, axis=1)
         worst = int(np.nanargmax(left[:count]))
@@ -140,14 +163,8 @@ def channel_comparison_plot(
     with look.context():
         drawn = panels(look, ax, count, (3.6, 2.2), sharex=ax is None)
         for k, axis in enumerate(drawn.axes.flat[:count]):
-            if spectral:
-                frequency = abscissa / unit
-                lines = axis.plot(frequency, decibels(measured[k]), label="measured", **DOTS)
-                for j, label in enumerate(labels):
-                    line = {**_POINTS, **line_of_model(j), "marker": ""}
-                    lines += axis.plot(frequency, decibels(predicted[j, k]), label=plain(label), **line)
-                axis.set_xlim(frequency[0], frequency[-1])
-                look.lattice(axis)
+            if responses is not None:
+                lines = draw_part(axis, responses, "magnitude", k, 0, look, Scale())
             else:
                 outputs = Outputs(abscissa, measured[k], predicted[:, k])
                 outputs, dots = (outputs, MEASURED) if part is None else (outputs.cut(part), SAMPLES)
@@ -162,33 +179,6 @@ def channel_comparison_plot(
                 axis.tick_params(labelbottom=True)
         kind = f" ({count} of {len(names)} channels)" * (count < len(names))
         return drawn.finished(heading + kind, drawn.legend_of_all())
-
-
-def _over_frequency(axis: Axes, frequency: Array, look: Look) -> None:
-    """Logarithmic over more than a decade; a point at 0 has no place there."""
-    positive = frequency[frequency > 0]
-    logarithmic = len(positive) > 0 and positive[-1] > 10.0 * positive[0]
-    if logarithmic:
-        axis.set_xscale("log")
-    if frequency[-1] > frequency[0]:
-        axis.set_xlim(*(positive if logarithmic else frequency)[[0, -1]])
-    look.lattice(axis, minor="x" if logarithmic else None)
-
-
-def _phase_cut(measured: ComplexArray) -> float:
-    """Where the circle of phases is cut open, from -360 to 0 degrees: in the middle of the widest gap between them.
-
-    A displacement has phases about 0 and 180 degrees; cut at 180, noise would throw them from one end to the other.
-    """
-    angle = np.sort(np.degrees(np.angle(measured[np.isfinite(measured) & (measured != 0)])))
-    if not len(angle):
-        return -180.0
-    gaps = np.diff(angle, append=angle[0] + 360.0)
-    k = int(np.argmax(gaps))
-    # to tens of degrees, where the gap is wide enough for that
-    cut = angle[k] + 0.5 * gaps[k]
-    cut = 10.0 * np.round(0.1 * cut) if gaps[k] > 20.0 else cut
-    return float(np.mod(cut, 360.0) - 360.0)
 
 
 # --- residuals -------------------------------------------------------------------------------------------------------
@@ -248,11 +238,14 @@ class ResponsePanel:
     def draw(self, axis: Axes, look: Look) -> list[Any]:
         """Both in decibels over frequency."""
         unit, unit_name = frequency_axis(self.Hz, self.time_unit)
-        frequency = self.omega / unit
-        lines = axis.plot(frequency, decibels(self.measured), label="measured", **SAMPLES)
-        properties: dict[str, Any] = {"label": "residual", "color": "C0", "linewidth": 1.1, "zorder": 3}
-        lines += axis.plot(frequency, decibels(self.residuals), **properties)
-        _over_frequency(axis, frequency, look)
+        seen = self.omega > 0
+        line: dict[str, Any] = {"color": "C0", "linewidth": 1.1, "zorder": 3}
+        residual = Curve("residual", self.omega[seen], self.residuals[None, None, seen], tabulated=True, line=line)
+        measured = _measured(self.omega[seen], self.measured[None, None, seen])
+        frequency = _axis_of(self.omega[seen], None, unit, unit_name)
+        lines = draw_part(
+            axis, Responses([residual], [measured], frequency, [""], [""]), "magnitude", 0, 0, look, Scale()
+        )
         axis.set(xlabel=labelled("Frequency", unit_name), ylabel=gain_label(self.gain_unit))
         return lines
 
