@@ -219,7 +219,9 @@ def _source_of_fractions(given: Any) -> ModelSource:
         return as_measured(given, found.T.reshape(*residues.shape[1:], -1) + D[:, :, None], omega)
 
     names = _names_of(given, "output", len(D)), _names_of(given, "input", len(D.T))
-    return ModelSource(response, _upper(poles), (len(D), len(D.T)), *names, f"fit ({counted(len(poles), 'mode')})")
+    modes, real = int(pairs.sum()), len(poles) - int(pairs.sum())
+    parts = [counted(modes, "mode")] * bool(modes or not real) + [counted(real, "real pole")] * bool(real)
+    return ModelSource(response, _upper(poles), (len(D), len(D.T)), *names, f"fit ({', '.join(parts)})")
 
 
 def _names_of(given: Any, kind: str, count: int) -> list[str]:
@@ -348,11 +350,11 @@ def frf_data(
     title = "Frequency responses"
     if curve.response.size == len(omega):
         title = f"Frequency response, {responses.name(0, 0)}"
-    units = _gain_units(gain_unit, [source, *measurements_of(model, data)], source.shape, rows, columns)
+    units = gain_units(gain_unit, [source, *measurements_of(model, data)], source.shape, rows, columns)
     return replace(responses, title=title + (f" ({', '.join(parts)})" if parts else "")), units
 
 
-def _gain_units(
+def gain_units(
     given: Any, sources: Sequence[Any], shape: tuple[int, int], rows: Indices, columns: Indices
 ) -> list[str | None]:
     """Unit of the responses of each output: as given, or as the names of the first of model and measurements tell."""
@@ -416,6 +418,8 @@ def _limits(source: ModelSource, measured: list[Curve], given: Any, unit: float)
     tables = [one.omega for one in measured if one.label != ESTIMATED and len(one.omega)]
     d = np.abs(source.poles) if len(source.poles) else np.ones(1)
     low, high = 0.5 * d[0], (1.25 if d[-1] <= _DECADES * d[0] else 2.0) * d[-1]
+    if not np.any(source.poles.imag):  # corners are seen from a decade below to a decade above
+        low, high = 0.1 * d[0], 10.0 * d[-1]
     recorded = [one.omega for one in measured if len(one.omega)]
     if tables:
         low, high = min(one[0] for one in tables), max(one[-1] for one in tables)

@@ -27,8 +27,8 @@ _NARROW = 3.0  # and below which it is not
 _FILLED = 30.0  # nor where the modes of an even grid are within so much of its upper end
 _WRAP = 1.05 * np.pi  # step of the phase that is a wrap; a pole on the axis turns it by half a turn
 _BACKWARD = 0.75 * np.pi  # phase beyond which a response may as well begin a turn later or earlier
-_WINDOW = 7  # steps of the phase of a table whose mean direction tells a response from noise
-_STEADY = 0.5  # least length of this mean
+_WINDOW = 9  # steps of the phase of a table whose mean direction tells a response from noise
+_STEADY = 0.7  # least length of this mean
 
 
 @dataclass(frozen=True)

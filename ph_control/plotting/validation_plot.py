@@ -35,6 +35,7 @@ from .style import (
     ZERO,
     FrameStyle,
     Look,
+    PlainLogFormatter,
     checked_limits,
     frequency_axis,
     gain_label,
@@ -51,9 +52,11 @@ if TYPE_CHECKING:
 _POINTS: dict[str, Any] = {"linewidth": 0.8, "marker": ".", "markersize": 4.0, "zorder": 3}
 _INSIDE, _OUTSIDE = "0.25", "C3"
 _CRITERIA = {"AIC": ("C0", "s", "-"), "AICc": ("C2", "^", "--"), "BIC": ("C3", "o", "-"), "hold-out": ("C4", "D", ":")}
+_FEW = 150  # points
 _CHANNELS = 12  # of one picture
 _SEGMENTS = 8  # of which output spectra are averaged
 _LAGS, _CONFIDENCE = 25, 0.99  # of the correlations of channels
+_AROUND = 10**0.25  # of the modes on a logarithmic axis
 _FLAT = 10.0  # differences of a criterion below this are drawn to a linear scale
 
 # --- models beside a frequency response ------------------------------------------------------------------------------
@@ -87,18 +90,16 @@ def response_comparison_plot(
         replace(one, response=known[0].response - one.response, line=line_of_model(k)) for k, one in enumerate(models)
     ]
     # the smaller error is drawn over the larger
-    order = np.argsort([-float(np.nanmean(np.abs(error.response) ** 2)) for error in errors])
-    responses = Responses(models, known, axis, [""], [""])
-    left = Responses([errors[k] for k in order], [], axis, [""], [""])
+    errors.sort(key=lambda error: -float(np.nanmean(np.abs(error.response) ** 2)))
+    responses, left = Responses(models, known, axis, [""], [""]), Responses(errors, [], axis, [""], [""])
+    quantities = gain_label(gain_unit), "Phase [deg]", gain_label(gain_unit, "Error")
     with look.context():
         drawn = picture(look, ax, (3, 1), (7.2, 5.55), tied=3, height_ratios=[2.4, 1.7, 1.7])
         for row, (part, of) in enumerate((("magnitude", responses), ("phase", responses), ("magnitude", left))):
-            *curves, last = draw_part(drawn.axes[row, 0], of, part, 0, 0, look, Scale())
-            drawn.lines[row, 0] = [last, *curves] if of.measured else [*curves, last]
-        for axes, label in zip(
-            drawn.axes[:, 0], (gain_label(gain_unit), "Phase [deg]", gain_label(gain_unit, "Error")), strict=True
-        ):
-            axes.set_ylabel(label)
+            lines = draw_part(drawn.axes[row, 0], of, part, 0, 0, look, Scale())
+            # what was measured first
+            drawn.lines[row, 0] = lines[len(models) :] + lines[: len(models)]
+            drawn.axes[row, 0].set_ylabel(quantities[row])
         drawn.axes[2, 0].set_xlabel(labelled("Frequency", unit_name))
         return drawn.finished(heading)
 
@@ -114,9 +115,10 @@ def _measured(omega: Array, response: ComplexArray) -> Curve:
 
 
 def _modelled(omega: Array, responses: ComplexArray, labels: Sequence[str]) -> list[Curve]:
-    """Models at the points of a measurement."""
+    """Models at the points of a measurement, which are marked where they are few."""
+    line = _POINTS if len(omega) <= _FEW else {**_POINTS, "marker": ""}
     return [
-        Curve(label, omega, values, tabulated=True, line=_POINTS | line_of_model(k))
+        Curve(label, omega, values, tabulated=True, line=line | line_of_model(k))
         for k, (label, values) in enumerate(zip(labels, responses, strict=True))
     ]
 
@@ -131,6 +133,7 @@ def channel_comparison_plot(
     time_unit: str | None = None,
     Hz: bool | None = None,
     scale: str | None = None,
+    gain_unit: str | None = None,
     detail: Any = "auto",
     heading: str,
     ax: Any = None,
@@ -173,7 +176,7 @@ def channel_comparison_plot(
             drawn.lines.flat[k] = lines
             axis.set_title(plain(names[k]), loc="left", fontsize="small")
             if k % drawn.axes.shape[1] == 0:
-                axis.set_ylabel(gain_label(None) if spectral else "Output")
+                axis.set_ylabel(gain_label(gain_unit) if spectral else "Output")
             if k + drawn.axes.shape[1] >= count:
                 axis.set_xlabel(labelled("Frequency", unit_name) if spectral else labelled("Time", time_unit))
                 axis.tick_params(labelbottom=True)
@@ -243,9 +246,8 @@ class ResponsePanel:
         residual = Curve("residual", self.omega[seen], self.residuals[None, None, seen], tabulated=True, line=line)
         measured = _measured(self.omega[seen], self.measured[None, None, seen])
         frequency = _axis_of(self.omega[seen], None, unit, unit_name)
-        lines = draw_part(
-            axis, Responses([residual], [measured], frequency, [""], [""]), "magnitude", 0, 0, look, Scale()
-        )
+        responses = Responses([residual], [measured], frequency, [""], [""])
+        lines = draw_part(axis, responses, "magnitude", 0, 0, look, Scale())[::-1]
         axis.set(xlabel=labelled("Frequency", unit_name), ylabel=gain_label(self.gain_unit))
         return lines
 
@@ -351,6 +353,7 @@ def stabilisation_plot(
     least_mac: float = 0.95,
     omega_limits: ArrayLike | None = None,
     Hz: bool | None = None,
+    scale: str | None = None,
     time_unit: str | None = None,
     ax: Any = None,
     **style: Unpack[FrameStyle],
@@ -374,9 +377,11 @@ def stabilisation_plot(
     least_mac : float
         Modal assurance criterion from which on a shape does.
     omega_limits : array_like, shape (2,), optional
-        Ends of the frequency axis, in its unit.
+        Ends of the frequency axis, in its unit; by default around the poles that are stable in frequency.
     Hz : bool, optional
         As in `frf_plot`.
+    scale : {'log', 'linear'}, optional
+        Scale of the frequency axis; by default logarithmic where the poles span more than two decades.
     time_unit : str, optional
         Unit of time, for the label; by default that of the result or the data.
     ax : matplotlib.axes.Axes, optional
@@ -422,13 +427,18 @@ def stabilisation_plot(
     behind = _behind(given)
     marked = getattr(poles, "order", None) if chosen is None else _checks.whole_number("chosen", chosen, 1)
     look = Look.of(style, FrameStyle)
+    d = np.concatenate(table.frequencies)
+    logarithmic = is_logarithmic(scale, float(d.min(initial=np.inf)), float(d.max(initial=0.0)))
     with look.context():
         drawn = picture(look, ax, (1, 1), (7.6, 4.8))
         axis = drawn.axes[0, 0]
         drawn.lines[0, 0] = _draw_levels(axis, table, unit)
         _draw_behind(axis, behind, unit)
         axis.set(xlabel=labelled("Natural frequency", unit_name), ylabel="Order")
-        axis.set_xlim(*_frequency_ends(table, behind, omega_limits, unit))
+        axis.set_xscale("log" if logarithmic else "linear")
+        axis.set_xlim(*_frequency_ends(table, behind, omega_limits, unit, logarithmic))
+        if logarithmic:
+            axis.xaxis.set_major_formatter(PlainLogFormatter())
         low, high = float(table.orders.min()), float(table.orders.max())
         if marked is not None and low <= marked <= high:
             axis.axhline(marked, color="C3", linewidth=6.0, alpha=0.15, zorder=0, label=f"order {marked}")
@@ -540,16 +550,21 @@ def _output_spectra(y: Array, step: float) -> tuple[Array, Array]:
 
 
 def _frequency_ends(
-    table: StabilisationData, behind: list[tuple[Array, Array, str]], given: Any, unit: float
+    table: StabilisationData, behind: list[tuple[Array, Array, str]], given: Any, unit: float, logarithmic: bool
 ) -> tuple[float, float]:
-    """Ends of the axis: those given, as far as data reach, or all poles."""
+    """Ends of the axis: those given, or around the poles that are stable, as far as data reach."""
     if given is not None:
         return checked_limits(given)
+    stable = np.concatenate([d[level > 0] for d, level in zip(table.frequencies, table.stability, strict=True)])
+    d = stable if len(stable) else np.concatenate(table.frequencies)
+    if not len(d):
+        return (behind[0][0][0] / unit, behind[0][0][-1] / unit) if behind else (0.0, 1.0)
+    # as wide as the modes and half a decade, or what was measured
+    low, high = float(d.min()), float(d.max())
+    low, high = (low / _AROUND, high * _AROUND) if logarithmic else (low - 0.15 * high, 1.15 * high)
     if behind:
-        low, high = min(one[0][0] for one in behind) / unit, max(one[0][-1] for one in behind) / unit
-        return max(0.0, low - 0.02 * (high - low)), high
-    d = np.concatenate(table.frequencies)
-    return 0.0, 1.05 * float(d.max(initial=0.0)) / unit or 1.0
+        low, high = max(low, min(one[0][0] for one in behind)), min(high, max(one[0][-1] for one in behind))
+    return max(low, 0.0) / unit, high / unit
 
 
 _LEVELS: list[dict[str, Any]] = [
