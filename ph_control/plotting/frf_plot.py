@@ -326,9 +326,9 @@ def frf_data(
         )
     )
     low, high = _limits(source, measured, omega_limits, unit)
-    oscillating = np.abs(source.poles[source.poles.imag > 0])
+    modes = np.abs(source.poles[source.poles.imag > 0])
     grid = measured[0].omega if measured else None
-    logarithmic = is_logarithmic(scale, low, high, grid, oscillating[(oscillating >= low) & (oscillating <= high)])
+    logarithmic = is_logarithmic(scale, low, high, grid, modes)
     axis = FrequencyAxis(low if low > 0 else _FLOOR * high * logarithmic, high, unit, unit_name, logarithmic)
     chosen = np.ix_(rows, columns)
 
@@ -424,7 +424,12 @@ def _limits(source: ModelSource, measured: list[Curve], given: Any, unit: float)
     if tables:
         low, high = min(one[0] for one in tables), max(one[-1] for one in tables)
     elif recorded:
-        low, high = max(low, min(one[0] for one in recorded)), min(high, max(one[-1] for one in recorded))
+        first = min(one[0] for one in recorded)
+        # below what was measured a lag is seen to be level
+        low, high = (
+            max(low, first if np.any(source.poles.imag) else 0.2 * first),
+            min(high, max(one[-1] for one in recorded)),
+        )
     high = min(high, source.nyquist)
     return (float(low), float(high)) if low < high else (0.5 * float(high), float(high))
 

@@ -52,20 +52,24 @@ class FrequencyAxis:
         return (np.geomspace if self.logarithmic else np.linspace)(start, end, count)
 
 
-def is_logarithmic(scale: str | None, low: float, high: float, grid: Array | None = None, modes: Any = ()) -> bool:
+def is_logarithmic(
+    scale: str | None, low: float, high: float, grid: Array | None = None, modes: Array | None = None
+) -> bool:
     """Whether a frequency axis is logarithmic: as `scale` says, else for a logarithmic grid or beyond two decades.
 
-    Not so where the modes are all in the upper part of an evenly spaced grid.
+    Not so where the modes are all in the upper part of an evenly spaced grid; of a plant without modes always.
     """
     if scale is not None:
         return _checks.choice("scale", scale, ("log", "linear")) == "log"
+    if modes is not None and not len(modes):
+        return 0 < low < high / _NARROW
     grid = np.zeros(0) if grid is None else grid[grid > 0]
     if len(grid) < 3 or not 0 < low < high / _NARROW:
         return 0 < low < high / _WIDE
     steps, ratios = (np.std(part) / np.mean(part) for part in (np.diff(grid), np.diff(np.log(grid))))
     if ratios < steps:
         return True
-    return low < high / _WIDE and not (len(modes) and np.min(modes) > high / _FILLED)
+    return low < high / _WIDE and not (modes is not None and np.min(modes) > high / _FILLED)
 
 
 @dataclass(frozen=True)
