@@ -359,7 +359,7 @@ def gain_units(
 ) -> list[str | None]:
     """Unit of the responses of each output: as given, or as the names of the first of model and measurements tell."""
     if given is not None:
-        return [given] * len(rows) if isinstance(given, str) else _checks.labels(given, len(rows), "outputs")
+        return [given] * len(rows) if isinstance(given, str) else [*_checks.labels(given, len(rows), "outputs")]
     for one in sources:
         outputs, inputs = (getattr(one, name, None) or () for name in ("output_labels", "input_labels"))
         if (len(outputs), len(inputs)) == shape:

@@ -123,7 +123,7 @@ def _tabulated(
     table: Any, outputs: Any, inputs: Any, limits: Any, Hz: bool | None, time_unit: str | None, gain_unit: Any
 ) -> tuple[Responses, list[str | None]]:
     """A measured response without a model."""
-    omega, values = table_in(table) or (np.zeros(0), np.zeros((0, 0, 0)))
+    omega, values = table_in(table) or (np.zeros(0), np.zeros((0, 0, 0), complex))
     unit, unit_name = frequency_axis(Hz, unit_for(time_unit, table))
     low, high = (omega[0], omega[-1]) if limits is None else np.multiply(checked_limits(limits), unit)
     names = [

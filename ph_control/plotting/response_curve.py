@@ -28,6 +28,7 @@ _FILLED = 30.0  # nor where the modes of an even grid are within so much of its 
 _WRAP = 1.05 * np.pi  # step of the phase that is a wrap; a pole on the axis turns it by half a turn
 _BACKWARD = 0.75 * np.pi  # phase beyond which a response may as well begin a turn later or earlier
 _WINDOW = 9  # steps of the phase of a table whose mean direction tells a response from noise
+_BESIDE = 5
 _STEADY = 0.7  # least length of this mean
 
 
@@ -155,7 +156,9 @@ class Curve:
         window = np.ones(_WINDOW)
         mean = np.abs(np.convolve(z[1:] * z[:-1].conj(), window, "same"))
         mean /= np.convolve(np.ones(len(mean)), window, "same")
-        scattered[usable] = np.maximum(np.append(mean, 0.0), np.insert(mean, 0, 0.0)) < _STEADY
+        noise = np.maximum(np.append(mean, 0.0), np.insert(mean, 0, 0.0)) < _STEADY
+        # with the points beside, whose steps are half of noise
+        scattered[usable] = np.convolve(noise, np.ones(_BESIDE), "same") > 0
         return scattered
 
     def phase_beside(self, i: int, j: int, other: Curve) -> Array:
@@ -193,8 +196,8 @@ class Curve:
             bottom, top = np.quantile(kept, [0.02, 0.98])
             kept = kept[(kept >= bottom - _LONE) & (kept <= top + _LONE)]
         elif len(kept):
-            ends = self.omega[known][[0, -1]]
-            at = np.searchsorted(self.omega[known], axis.places(*ends, _EVEN)[:-1])
+            omega = self.omega[known]
+            at = np.searchsorted(omega, axis.places(float(omega[0]), float(omega[-1]), _EVEN)[:-1])
             kept = kept[kept >= np.quantile(kept[at], 0.02) - _NOTCH]
         if (i, j) in self.bands:
             # beyond nine tenths of it the band may run off as its curve does: next to a resonance it is as high

@@ -116,8 +116,8 @@ def draw_responses(
     kinds = len(parts)
     each = 3.4 if rows == 1 else 2.3 if rows <= 3 else 1.6
     size = (max(6.4, 3.5 * columns), 0.9 + each * rows * (1.0 if kinds == 2 else 0.62))
-    heights = {"height_ratios": ([1.6, 1.0] if tuple(parts) == POLAR else [1.0] * kinds) * rows}
-    drawn = picture(look, ax, (kinds * rows, columns), size, meaning=meaning, sharex=True, **heights)
+    heights = [1.6, 1.0] if tuple(parts) == POLAR else [1.0] * kinds
+    drawn = picture(look, ax, (kinds * rows, columns), size, meaning=meaning, sharex=True, height_ratios=heights * rows)
     for k, (i, j) in enumerate(cells):
         row, column = divmod(k, columns)
         for index, part in enumerate(parts):

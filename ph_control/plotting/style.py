@@ -262,7 +262,7 @@ def imaginary_is_turned(given: bool | None, units: Sequence[str | None]) -> bool
     """Whether imaginary parts are drawn with their sign changed: as asked for, else those of impedances."""
     if given is not None:
         _checks.flags(negative_imaginary=given)
-        return given
+        return bool(given)
     return any(_OHM.match(unit) is not None for unit in units if unit)
 
 

@@ -428,7 +428,8 @@ def stabilisation_plot(
     marked = getattr(poles, "order", None) if chosen is None else _checks.whole_number("chosen", chosen, 1)
     look = Look.of(style, FrameStyle)
     d = np.concatenate(table.frequencies)
-    logarithmic = is_logarithmic(scale, float(d.min(initial=np.inf)), float(d.max(initial=0.0)))
+    ends = (d.min(initial=np.inf), d.max(initial=0.0)) if omega_limits is None else checked_limits(omega_limits)
+    logarithmic = is_logarithmic(scale, *map(float, ends))
     with look.context():
         drawn = picture(look, ax, (1, 1), (7.6, 4.8))
         axis = drawn.axes[0, 0]

@@ -237,8 +237,8 @@ class Comparison(Report, HeldData, Frozen):
             grid = record.time if isinstance(record, Recording) else record.omega
             return channel_comparison_plot(grid, *flat, names=names, heading=what + which, **kwargs)
         if isinstance(record, FrequencyRecord):
-            names = parted(self.output_label)[0], parted(record.input_label)[0]
-            kwargs["heading"] = "{} over {}, measured and modelled".format(*names) + which
+            sensor, source = parted(self.output_label)[0], parted(record.input_label)[0]
+            kwargs["heading"] = f"{sensor} over {source}, measured and modelled{which}"
             kwargs.setdefault("gain_unit", told_gain_unit(record))
             return response_comparison_plot(record.omega, record.response, compared.predicted, **kwargs)
         # a label such as "velocity [m/s]" carries its unit
