@@ -242,8 +242,9 @@ def _phase_range(
     step = 90.0 if high - low <= 450.0 else 180.0
     axis.set_ylim(scale.angle * (low - 0.25 * step), scale.angle * (high + 0.25 * step))
     if high - low <= 1440.0:
-        small = axis.get_window_extent().height / axis.figure.dpi < 1.0 and high - low > 180.0
-        axis.yaxis.set_major_locator(MultipleLocator(scale.angle * (180.0 if small else step)))
+        if axis.get_window_extent().height < axis.figure.dpi and high - low > 180.0:  # below an inch
+            step = 180.0 if high - low <= 540.0 else 360.0
+        axis.yaxis.set_major_locator(MultipleLocator(scale.angle * step))
         axis.yaxis.set_minor_locator(MultipleLocator(scale.angle * step / 2.0))
     if not scale.deg:
         axis.yaxis.set_major_formatter(lambda value, _: f"{value / np.pi:g}π" if value else "0")
