@@ -9,7 +9,6 @@ import pytest
 
 import ph_control as phc
 from ph_control import StructureError
-from ph_control.plotting.shape_plot import wire_frame
 
 EPS = np.finfo(float).eps
 HERTZ, RATIOS = np.array([20.0, 45.0, 80.0]), np.array([0.01, 0.005, 0.02])
@@ -454,27 +453,28 @@ def test_what_has_no_picture_of_shapes_is_refused(call, words):
 
 
 def test_a_wire_frame_moves_each_node_as_its_sensors_say():
-    nodes = np.array([[0.0, 0, 0], [0, 0, 3], [2, 0, 3], [2, 0, 0]])
-    lines = [(0, 1), (1, 2), (2, 3)]
-    frame = wire_frame(nodes[[1, 2, 2]], ["x", "-x", (0, 0, 2.0)], nodes, lines)
-    moved = frame.displaced(np.array([0.5, 1.0, 0.25])) - nodes
-    largest = np.hypot(1.0, 0.25)
-    np.testing.assert_allclose(moved, 3 / 7 / largest * np.array([[0, 0, 0], [0.5, 0, 0], [-1, 0, 0.25], [0, 0, 0]]))
-    assert frame.measured.tolist() == [1, 2]
-    plot = phc.shape_plot([[0.5, 1.0, 0.25]], nodes[[1, 2, 2]], directions=["x", "-x", "z"], nodes=nodes, lines=lines)
-    rest, shape = plot.lines[0, 0]
-    assert len(rest.get_xdata()) == len(shape.get_xdata()) == 9 and legend_texts(plot.legend) == [
-        "at rest",
-        "mode shape",
-    ]
+    nodes = np.array([[0.0, 0], [0, 3], [2, 3], [2, 0]])
+    plot = phc.shape_plot(
+        [[0.5, 1.0, 0.25]],
+        nodes[[1, 2, 2]],
+        directions=["x", "-x", (0, 2.0)],
+        nodes=nodes,
+        lines=[(0, 1), (1, 2), (2, 3)],
+    )
+    rest, shape = (np.transpose(line.get_data()) for line in plot.lines[0, 0])
+    moved = 3 / 7 / np.hypot(1.0, 0.25) * np.array([[0, 0], [0.5, 0], [-1, 0.25], [0, 0]])
+    at = [0, 1, 4, 7]  # of both ends of each line and a gap
+    np.testing.assert_allclose(rest[at], nodes)
+    np.testing.assert_allclose(shape[at] - rest[at], moved, atol=1e-12)
+    assert np.isnan(shape[2::3]).all() and legend_texts(plot.legend) == ["at rest", "mode shape"]
 
 
-def test_sensors_of_a_plate_move_across_it_and_those_of_a_frame_within():
-    places = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
-    across = wire_frame(places, None, None, [(0, 1), (1, 2)])
-    np.testing.assert_allclose(across.displaced(np.array([0.0, 1.0, -0.5]))[:, 2], [0, 1 / 7, -0.5 / 7])
-    within = wire_frame(places, "y", None, None)
-    np.testing.assert_allclose(within.displaced(np.array([0.0, 1.0, -0.5]))[:, 1], [0, 1 / 7, 1 - 0.5 / 7])
+def test_sensors_of_a_plate_move_across_it():
+    places = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]
+    rest, shape = phc.shape_plot([[0.0, 1.0, -0.5]], places, lines=[(0, 1), (1, 2)]).lines[0, 0]
+    assert np.nanmax(np.abs(shape.get_xdata() - rest.get_xdata())) < 1e-12
+    up = np.cos(np.radians(25.0)) / 7
+    np.testing.assert_allclose(shape.get_ydata() - rest.get_ydata(), [0, up, np.nan, up, -up / 2, np.nan], atol=1e-12)
 
 
 def test_nyquist_curves_have_the_sign_of_electrochemists_for_impedances_only():
@@ -549,6 +549,8 @@ def test_the_diagram_is_as_wide_as_the_stable_modes_and_no_wider_than_what_was_m
     data = measured(result(4), low=1.0, high=400.0)
     low, high = phc.stabilisation_plot(path(), data, time_unit="s").axes[0, 0].get_xlim()
     assert 1.0 <= low < 20.0 and 80.0 < high < 150.0
+    chosen = phc.stabilisation_plot(path(), data, chosen=3, time_unit="s").axes[0, 0].get_xlim()
+    assert 1.0 <= chosen[0] < 0.75 * 20.0 and 80.0 / 0.75 < chosen[1] < 150.0
     assert phc.stabilisation_plot(path(), data, omega_limits=[0, 300], time_unit="s").axes[0, 0].get_xlim() == (0, 300)
     far = [np.array([-0.01 + 1j]), np.array([-0.01 + 1j, -5 + 900j]), np.array([-0.01 + 1j, -5 + 900j])]
     assert phc.stabilisation_plot(far).axes[0, 0].get_xscale() == "log"

@@ -25,8 +25,8 @@ from ph_control import (
     spring_chain,
 )
 from ph_control.analysis.spectral_estimate import SpectralEstimate
-from ph_control.plotting.bode_data import bode_data, features, frequency_grid
-from ph_control.plotting.response_curve import Curve, FrequencyAxis, is_logarithmic
+from ph_control.plotting.bode_plot import bode_data, features, frequency_grid
+from ph_control.plotting.response_picture import Curve, FrequencyAxis, is_logarithmic
 from ph_control.plotting.style import extremes
 
 EPS = np.finfo(float).eps

@@ -26,7 +26,7 @@ from .frf_plot import (
     measured_by,
     model_source,
 )
-from .response_curve import Curve
+from .response_picture import Curve
 from .style import (
     DOTS,
     ZERO,

@@ -25,8 +25,7 @@ from ..exceptions import StructureError
 from ..numerics.mode_shapes import stable_poles
 from .fit_plot import Outputs, draw_outputs, line_of_model
 from .inputs import measurements_of, recording_in, table_in
-from .response_curve import Curve, FrequencyAxis, decibels, is_logarithmic
-from .response_picture import Responses, Scale, draw_part
+from .response_picture import Curve, DrawnResponses, FrequencyAxis, Scale, decibels, draw_part, is_logarithmic
 from .style import (
     BAND,
     DOTS,
@@ -56,6 +55,7 @@ _FEW = 150  # points
 _CHANNELS = 12  # of one picture
 _SEGMENTS = 8  # of which output spectra are averaged
 _LAGS, _CONFIDENCE = 25, 0.99  # of the correlations of channels
+_BESIDE = 0.75  # of the lowest mode of the chosen order, and of the highest its inverse, that are seen as well
 _AROUND = 10**0.25  # of the modes on a logarithmic axis
 _FLAT = 10.0  # differences of a criterion below this are drawn to a linear scale
 
@@ -82,45 +82,43 @@ def response_comparison_plot(
     """
     look = Look.of(style, FrameStyle)
     unit, unit_name = frequency_axis(Hz, time_unit)
-    seen = omega > 0
-    values, known = predicted[:, None, None, seen], [_measured(omega[seen], measured[None, None, seen])]
-    axis = _axis_of(omega[seen], scale, unit, unit_name)
-    models = _modelled(omega[seen], values, labels)
+    responses = _compared(omega, measured[None], predicted[:, None], labels, scale, (unit, unit_name))
     errors = [
-        replace(one, response=known[0].response - one.response, line=line_of_model(k)) for k, one in enumerate(models)
+        replace(one, response=responses.measured[0].response - one.response, line=line_of_model(k))
+        for k, one in enumerate(responses.curves)
     ]
     # the smaller error is drawn over the larger
     errors.sort(key=lambda error: -float(np.nanmean(np.abs(error.response) ** 2)))
-    responses, left = Responses(models, known, axis, [""], [""]), Responses(errors, [], axis, [""], [""])
+    left, count = replace(responses, curves=errors, measured=[]), len(labels)
     quantities = gain_label(gain_unit), "Phase [deg]", gain_label(gain_unit, "Error")
     with look.context():
         drawn = picture(look, ax, (3, 1), (7.2, 5.55), tied=3, height_ratios=[2.4, 1.7, 1.7])
         for row, (part, of) in enumerate((("magnitude", responses), ("phase", responses), ("magnitude", left))):
             lines = draw_part(drawn.axes[row, 0], of, part, 0, 0, look, Scale())
             # what was measured first
-            drawn.lines[row, 0] = lines[len(models) :] + lines[: len(models)]
+            drawn.lines[row, 0] = lines[count:] + lines[:count]
             drawn.axes[row, 0].set_ylabel(quantities[row])
         drawn.axes[2, 0].set_xlabel(labelled("Frequency", unit_name))
         return drawn.finished(heading)
 
 
-def _axis_of(omega: Array, scale: str | None, unit: float, unit_name: str) -> FrequencyAxis:
-    """Axis of tabulated frequencies; of a single one a little on both sides."""
+def _compared(
+    omega: Array, measured: ComplexArray, predicted: ComplexArray, labels: Sequence[str], scale: str | None,
+    unit: tuple[float, str], dots: Any = None,
+) -> DrawnResponses:  # fmt: skip
+    """Models (k, p, K) over a measured response (p, K) of p entries, at its frequencies above 0."""
+    seen = omega > 0
+    omega = omega[seen]
+    # of a single frequency a little on both sides
     low, high = (omega[0], omega[-1]) if len(omega) > 1 else (0.9 * omega[0], 1.1 * omega[0])
-    return FrequencyAxis(float(low), float(high), unit, unit_name, is_logarithmic(scale, low, high, omega))
-
-
-def _measured(omega: Array, response: ComplexArray) -> Curve:
-    return Curve("measured", omega, response, tabulated=True, line=SAMPLES)
-
-
-def _modelled(omega: Array, responses: ComplexArray, labels: Sequence[str]) -> list[Curve]:
-    """Models at the points of a measurement, which are marked where they are few."""
     line = _POINTS if len(omega) <= _FEW else {**_POINTS, "marker": ""}
-    return [
-        Curve(label, omega, values, tabulated=True, line=line | line_of_model(k))
-        for k, (label, values) in enumerate(zip(labels, responses, strict=True))
+    models = [
+        Curve(label, omega, values[:, None, seen], tabulated=True, line=line | line_of_model(k))
+        for k, (label, values) in enumerate(zip(labels, predicted, strict=True))
     ]
+    known = Curve("measured", omega, measured[:, None, seen], tabulated=True, line=dots or SAMPLES)
+    axis = FrequencyAxis(float(low), float(high), *unit, is_logarithmic(scale, low, high, omega))
+    return DrawnResponses(models, [known], axis, [""] * len(measured), [""])
 
 
 def channel_comparison_plot(
@@ -141,7 +139,7 @@ def channel_comparison_plot(
 ) -> ct.ControlPlot:
     """Outputs of all models over those measured, a panel for each of c channels.
 
-    `abscissa` are instants or frequencies, `measured` has shape (c, T) and `predicted` (k, c, T).  Responses are
+    `abscissa` are instants or frequencies, `measured` has shape (c, T) and `predicted` (k, c, T).  DrawnResponses are
     complex, and drawn by their magnitudes.
     """
     look = Look.of(style, FrameStyle)
@@ -149,15 +147,9 @@ def channel_comparison_plot(
     count = min(_CHANNELS, len(names))
     unit, unit_name = frequency_axis(Hz, time_unit)
     part: slice | None = None
-    responses: Responses | None = None
+    responses: DrawnResponses | None = None
     if spectral:
-        seen = abscissa > 0
-        omega, models = abscissa[seen], predicted[:, :, None, seen]
-        lines_of_models = [
-            replace(one, line=dict(one.line) | {"marker": ""}) for one in _modelled(omega, models, labels)
-        ]
-        known = replace(_measured(omega, measured[:, None, seen]), line=DOTS)
-        responses = Responses(lines_of_models, [known], _axis_of(omega, scale, unit, unit_name), names, [""])
+        responses = _compared(abscissa, measured, predicted, labels, scale, (unit, unit_name), DOTS)
     else:
         # of the output that is explained worst
         left = np.nanmean(np.abs(measured - predicted) ** 2, axis=(0, 2)) / np.nanvar(measured, axis=1)
@@ -241,12 +233,8 @@ class ResponsePanel:
     def draw(self, axis: Axes, look: Look) -> list[Any]:
         """Both in decibels over frequency."""
         unit, unit_name = frequency_axis(self.Hz, self.time_unit)
-        seen = self.omega > 0
-        line: dict[str, Any] = {"color": "C0", "linewidth": 1.1, "zorder": 3}
-        residual = Curve("residual", self.omega[seen], self.residuals[None, None, seen], tabulated=True, line=line)
-        measured = _measured(self.omega[seen], self.measured[None, None, seen])
-        frequency = _axis_of(self.omega[seen], None, unit, unit_name)
-        responses = Responses([residual], [measured], frequency, [""], [""])
+        parts = self.measured[None], self.residuals[None, None]
+        responses = _compared(self.omega, *parts, ["residual"], None, (unit, unit_name))
         lines = draw_part(axis, responses, "magnitude", 0, 0, look, Scale())[::-1]
         axis.set(xlabel=labelled("Frequency", unit_name), ylabel=gain_label(self.gain_unit))
         return lines
@@ -377,7 +365,7 @@ def stabilisation_plot(
     least_mac : float
         Modal assurance criterion from which on a shape does.
     omega_limits : array_like, shape (2,), optional
-        Ends of the frequency axis, in its unit; by default around the poles that are stable in frequency.
+        Ends of the frequency axis, in its unit; by default around the modes of the chosen order, else the stable poles.
     Hz : bool, optional
         As in `frf_plot`.
     scale : {'log', 'linear'}, optional
@@ -429,7 +417,7 @@ def stabilisation_plot(
     look = Look.of(style, FrameStyle)
     d = np.concatenate(table.frequencies)
     ends = (d.min(initial=np.inf), d.max(initial=0.0)) if omega_limits is None else checked_limits(omega_limits)
-    logarithmic = is_logarithmic(scale, *map(float, ends))
+    logarithmic = is_logarithmic(scale, float(ends[0]), float(ends[1]))
     with look.context():
         drawn = picture(look, ax, (1, 1), (7.6, 4.8))
         axis = drawn.axes[0, 0]
@@ -437,7 +425,7 @@ def stabilisation_plot(
         _draw_behind(axis, behind, unit)
         axis.set(xlabel=labelled("Natural frequency", unit_name), ylabel="Order")
         axis.set_xscale("log" if logarithmic else "linear")
-        axis.set_xlim(*_frequency_ends(table, behind, omega_limits, unit, logarithmic))
+        axis.set_xlim(*_frequency_ends(table, behind, omega_limits, unit, logarithmic, marked))
         if logarithmic:
             axis.xaxis.set_major_formatter(PlainLogFormatter())
         low, high = float(table.orders.min()), float(table.orders.max())
@@ -551,13 +539,16 @@ def _output_spectra(y: Array, step: float) -> tuple[Array, Array]:
 
 
 def _frequency_ends(
-    table: StabilisationData, behind: list[tuple[Array, Array, str]], given: Any, unit: float, logarithmic: bool
-) -> tuple[float, float]:
-    """Ends of the axis: those given, or around the poles that are stable, as far as data reach."""
+    table: StabilisationData, behind: list[tuple[Array, Array, str]], given: Any, unit: float, logarithmic: bool,
+    marked: int | None,
+) -> tuple[float, float]:  # fmt: skip
+    """Ends of the axis: those given, or around the poles of the marked order, else that are stable, as data reach."""
     if given is not None:
         return checked_limits(given)
     stable = np.concatenate([d[level > 0] for d, level in zip(table.frequencies, table.stability, strict=True)])
     d = stable if len(stable) else np.concatenate(table.frequencies)
+    if marked is not None and (table.orders == marked).any():
+        d = table.frequencies[int(np.argmax(table.orders == marked))] * np.array([[_BESIDE], [1 / _BESIDE]])
     if not len(d):
         return (behind[0][0][0] / unit, behind[0][0][-1] / unit) if behind else (0.0, 1.0)
     # as wide as the modes and half a decade, or what was measured

@@ -36,6 +36,8 @@ _OF_MODES = ("shapes", "assurance", "stabilisation")
 _OF_SEVERAL = ("shapes", "assurance")  # that say nothing of one output and one input
 _EXPERIMENTS = 4  # drawn one by one
 _OUTPUTS = 4
+_FIRST = 8  # sentences of the summary
+_FINDINGS = "All findings"
 _WIDTH = 9.6  # inches of a picture that is as wide as the page
 _TALLER = 1.25  # as far as it may grow in height beside
 _SETTINGS = (
@@ -79,7 +81,9 @@ img { display: block; width: 100%; min-width: 36rem; height: auto; background: #
 def page_of(result: PEMResult, title: str) -> str:
     """The whole page, with its pictures inside."""
     first = _kind_that_matters(result)
-    sections = [("Tests of structure", _tests(result))]
+    sentences = _sentences(result)
+    sections = [(_FINDINGS, [_listed([*map(escaped, sentences)])] if len(sentences) > _FIRST else [])]
+    sections.append(("Tests of structure", _tests(result)))
     sections += [
         (heading, _pictures(result, kind, caption))
         for kind, heading, caption in _PICTURES
@@ -123,10 +127,20 @@ def _summary(result: PEMResult, kind: str) -> list[str]:
     parts.append(html_table(["", ""], facts).replace("<table ", '<table class="facts" '))
     tables = [result._mode_table(), real_pole_table(result), parameter_table(result.fitted_parameters)]
     parts += [_with_errors(table) for table in tables if len(table) > 1]
-    found = "".join(f"<li>{escaped(sentence)}</li>" for sentence in _SENTENCE.split(result.message) if sentence)
-    parts += ["<h3>What the data show</h3>", f"<ul>{found}</ul>"] if found else []
+    sentences = _sentences(result)
+    more = [f'<a href="#{_anchor(_FINDINGS)}">and {len(sentences) - _FIRST} more</a>'] * (len(sentences) > _FIRST)
+    found = [*map(escaped, sentences[:_FIRST]), *more]
+    parts += ["<h3>What the data show</h3>", _listed(found)] if found else []
     heading, caption = next((heading, text) for name, heading, text in _PICTURES if name == kind)
     return [*parts, f"<h3>{escaped(heading)}</h3>", *_pictures(result, kind, caption, 1)]
+
+
+def _sentences(result: PEMResult) -> list[str]:
+    return [sentence for sentence in _SENTENCE.split(result.message) if sentence]
+
+
+def _listed(items: Sequence[str]) -> str:
+    return "<ul>" + "".join(f"<li>{item}</li>" for item in items) + "</ul>"
 
 
 def _with_errors(table: list[list[str]]) -> str:
