@@ -46,7 +46,7 @@ LIMIT: dict[str, Any] = {"color": "0.3", "linestyle": ":", "linewidth": 1.0}
 POLAR, CARTESIAN = ("magnitude", "phase"), ("real", "imaginary")
 
 
-# --- numbers of a curve ------------------------------------------------------------------------------------------------
+# --- numbers of a curve -----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -296,7 +296,7 @@ def distance(x: Array, marks: Array) -> Array:
     return np.minimum(x - fenced[above - 1], fenced[above] - x)
 
 
-# --- numbers of a picture ----------------------------------------------------------------------------------------------
+# --- numbers of a picture ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

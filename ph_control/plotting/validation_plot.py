@@ -139,7 +139,7 @@ def channel_comparison_plot(
 ) -> ct.ControlPlot:
     """Outputs of all models over those measured, a panel for each of c channels.
 
-    `abscissa` are instants or frequencies, `measured` has shape (c, T) and `predicted` (k, c, T).  DrawnResponses are
+    `abscissa` are instants or frequencies, `measured` has shape (c, T) and `predicted` (k, c, T).  Responses are
     complex, and drawn by their magnitudes.
     """
     look = Look.of(style, FrameStyle)
