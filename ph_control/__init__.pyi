@@ -116,6 +116,7 @@ from .plotting.energy_plot import energy_plot as energy_plot
 from .plotting.energy_plot import passivity_plot as passivity_plot
 from .plotting.fit_plot import fit_plot as fit_plot
 from .plotting.frf_plot import frf_plot as frf_plot
+from .plotting.frf_plot import nyquist_plot as nyquist_plot
 from .plotting.mode_plot import modes_plot as modes_plot
 from .plotting.mode_plot import pole_zero_plot as pole_zero_plot
 from .plotting.shape_plot import circle_plot as circle_plot

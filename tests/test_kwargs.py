@@ -111,6 +111,7 @@ CALLS: dict[str, list[Callable[..., Any]]] = {
     "compare_plot": [lambda **k: phc.compare_plot(phc.compare(fitted().record, plant()), **k)],
     "energy_plot": [lambda **k: phc.energy_plot(phc.energy_balance(recording(), plant()), **k)],
     "frf_plot": [lambda **k: phc.frf_plot(plant(), **k)],
+    "nyquist_plot": [lambda **k: phc.nyquist_plot(plant(), **k)],
     "hypothesis_plot": [lambda **k: phc.hypothesis_plot([TESTED], **k)],
     "stabilisation_plot": [lambda **k: phc.stabilisation_plot([[1j], [1j]], **k)],
     "mac_plot": [lambda **k: phc.mac_plot(np.eye(2), **k)],

@@ -89,7 +89,7 @@ def test_measured_phases_are_beside_the_model_and_no_model_jumps_in_the_middle()
         near = np.abs(dots.get_ydata() - phase) < 20.0
         assert near.mean() > 0.95
         low, high = plot.axes[1, column].get_ylim()
-        assert low < dots.get_ydata().min() and dots.get_ydata().max() < high
+        assert ((low < dots.get_ydata()) & (dots.get_ydata() < high)).mean() > 0.97
     np.testing.assert_allclose(plot.lines[0, 1][1].get_ydata(), 20 * np.log10(np.abs(measured(fit, 0.02).frdata[1, 0])))
 
 
@@ -430,6 +430,19 @@ def test_modal_forms_have_shapes_and_many_modes_are_shared_out():
         (lambda: phc.shape_plot(np.eye(3), modes=[3]), "modes has 3; there are 3"),
         (lambda: phc.shape_plot(np.eye(3), level=2), "level is 2"),
         (lambda: phc.shape_plot(np.eye(3), ax=plt.subplots()[1]), "ax has 1 axes; expected 3"),
+        (lambda: phc.shape_plot(np.eye(3), np.eye(3), lines=[(0, 1)]), "say with directions"),
+        (
+            lambda: phc.shape_plot(np.eye(3), np.eye(3), directions="x", lines=[(0, 3)]),
+            "give pairs of nodes, from 0 to 2",
+        ),
+        (lambda: phc.shape_plot(np.eye(3), np.eye(3), directions=["x", "y"]), "2 directions for 3 sensors"),
+        (lambda: phc.shape_plot(np.eye(3), np.eye(3), directions="w"), "directions is 'w'"),
+        (lambda: phc.shape_plot(np.eye(3), np.eye(3), directions=[(0, 0, 0)] * 3), "give 3 numbers, not all 0"),
+        (
+            lambda: phc.shape_plot(np.eye(3), np.eye(3), directions="x", nodes=np.eye(3)[:2]),
+            "sensor 2, .* is at no node",
+        ),
+        (lambda: phc.shape_plot(np.eye(3), [1, 2, 3], lines=[(0, 1)]), "in a plane or in space"),
         (lambda: phc.mac_plot(np.eye(3), np.eye(2)), "shapes of 3 and of 2 outputs"),
         (lambda: phc.mac_plot(np.eye(3), label=["one"]), "1 labels for 2 sets of shapes"),
     ],
@@ -437,6 +450,48 @@ def test_modal_forms_have_shapes_and_many_modes_are_shared_out():
 def test_what_has_no_picture_of_shapes_is_refused(call, words):
     with pytest.raises(StructureError, match=words):
         call()
+
+
+def test_a_wire_frame_moves_each_node_as_its_sensors_say():
+    nodes = np.array([[0.0, 0], [0, 3], [2, 3], [2, 0]])
+    plot = phc.shape_plot(
+        [[0.5, 1.0, 0.25]],
+        nodes[[1, 2, 2]],
+        directions=["x", "-x", (0, 2.0)],
+        nodes=nodes,
+        lines=[(0, 1), (1, 2), (2, 3)],
+    )
+    rest, shape = (np.transpose(line.get_data()) for line in plot.lines[0, 0])
+    moved = 3 / 7 / np.hypot(1.0, 0.25) * np.array([[0, 0], [0.5, 0], [-1, 0.25], [0, 0]])
+    at = [0, 1, 4, 7]  # of both ends of each line and a gap
+    np.testing.assert_allclose(rest[at], nodes)
+    np.testing.assert_allclose(shape[at] - rest[at], moved, atol=1e-12)
+    assert np.isnan(shape[2::3]).all() and legend_texts(plot.legend) == ["at rest", "mode shape"]
+
+
+def test_sensors_of_a_plate_move_across_it():
+    places = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]
+    rest, shape = phc.shape_plot([[0.0, 1.0, -0.5]], places, lines=[(0, 1), (1, 2)]).lines[0, 0]
+    assert np.nanmax(np.abs(shape.get_xdata() - rest.get_xdata())) < 1e-12
+    up = np.cos(np.radians(25.0)) / 7
+    np.testing.assert_allclose(shape.get_ydata() - rest.get_ydata(), [0, up, np.nan, up, -up / 2, np.nan], atol=1e-12)
+
+
+def test_nyquist_curves_have_the_sign_of_electrochemists_for_impedances_only():
+    omega = np.geomspace(0.01, 1e4, 80)
+    cell = 0.01 + 0.02 / (1 + 0.5j * omega)
+    table = ct.frd(cell, omega, outputs="v [V]", inputs="i [A]")
+    plot = phc.nyquist_plot(table, Hz=False)
+    (dots,) = plot.lines[0, 0]
+    np.testing.assert_allclose(dots.get_xdata() + 1j * dots.get_ydata(), cell.conj())
+    assert plot.axes[0, 0].get_ylabel() == "−Im [V/A]"
+    model = ct.tf([0.005, 0.03], [0.5, 1.0])
+    for options, sign in (({"gain_unit": "Ω"}, -1), ({}, 1), ({"gain_unit": "Ω", "negative_imaginary": False}, 1)):
+        curve = phc.nyquist_plot(model, **options).lines[0, 0][0].get_ydata()
+        assert (sign * np.nanmean(curve) < 0) and abs(np.nanmax(np.abs(curve)) - 0.01) < 1e-4
+    parts = phc.frf_plot(model, parts="real-imaginary", gain_unit="mohm")
+    assert [axis.get_ylabel() for axis in parts.axes[:, 0]] == ["Re [mohm]", "−Im [mohm]"]
+    assert parts.lines[1, 0][0].get_ydata().min() > 0.0
 
 
 # --- modal assurance -------------------------------------------------------------------------------------------------
@@ -488,6 +543,18 @@ def test_true_modes_are_stable_from_the_second_order_that_has_them():
     wanted = ["new", "stable frequency (1 %)", "and damping (5 %)", "and shape (MAC 0.95)"]
     assert [line.get_label() for line in plot.lines[0, 0]] == wanted
     assert len({line.get_marker() for line in plot.lines[0, 0]}) == 4  # told apart in grey
+
+
+def test_the_diagram_is_as_wide_as_the_stable_modes_and_no_wider_than_what_was_measured():
+    data = measured(result(4), low=1.0, high=400.0)
+    low, high = phc.stabilisation_plot(path(), data, time_unit="s").axes[0, 0].get_xlim()
+    assert 1.0 <= low < 20.0 and 80.0 < high < 150.0
+    chosen = phc.stabilisation_plot(path(), data, chosen=3, time_unit="s").axes[0, 0].get_xlim()
+    assert 1.0 <= chosen[0] < 0.75 * 20.0 and 80.0 / 0.75 < chosen[1] < 150.0
+    assert phc.stabilisation_plot(path(), data, omega_limits=[0, 300], time_unit="s").axes[0, 0].get_xlim() == (0, 300)
+    far = [np.array([-0.01 + 1j]), np.array([-0.01 + 1j, -5 + 900j]), np.array([-0.01 + 1j, -5 + 900j])]
+    assert phc.stabilisation_plot(far).axes[0, 0].get_xscale() == "log"
+    assert phc.stabilisation_plot(far, scale="linear").axes[0, 0].get_xscale() == "linear"
 
 
 def test_tolerances_decide_and_stand_in_the_legend():

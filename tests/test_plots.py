@@ -25,7 +25,8 @@ from ph_control import (
     spring_chain,
 )
 from ph_control.analysis.spectral_estimate import SpectralEstimate
-from ph_control.plotting.bode_data import Curve, bode_data, features, frequency_grid
+from ph_control.plotting.bode_plot import bode_data, features, frequency_grid
+from ph_control.plotting.response_picture import Curve, FrequencyAxis, is_logarithmic
 from ph_control.plotting.style import extremes
 
 EPS = np.finfo(float).eps
@@ -126,7 +127,7 @@ def test_a_part_of_two_thousand_modes_is_drawn_as_finely_as_a_small_system():
     sys = phc.modes(0.5 * np.arange(1, 2001), 2.0 / np.arange(1, 2001))
     numbers = bode_data(sys, [500.1, 510.1])
     (curve,) = numbers.curves
-    assert curve.crowds(numbers.low, numbers.high) == []
+    assert curve.crowds(numbers.axis) == []
     between = np.count_nonzero((curve.omega > 504.0) & (curve.omega < 504.5))
     # 30 points on each side of a pole and of the zero between two of them
     assert between >= 4 * 29
@@ -140,7 +141,7 @@ def test_the_median_of_a_crowd_is_that_over_frequency_not_over_samples():
     level = np.repeat([0.0, 5.0], [len(even), len(crowded)])[np.argsort(omega)]
     curve = Curve("c", np.sort(omega), np.ones((1, 1, len(omega))), np.geomspace(1.0, 10.0, 5000))
     assert np.median(level) == 5.0
-    x, middle = curve.typical(level, 1.0, 10.0)
+    x, middle = curve.typical(level, FrequencyAxis(1.0, 10.0, 1.0, ""))
     assert np.isnan(middle[-1]) and (np.diff(x) > 0).all()
     assert len(x) > 100 and (middle[:-1] == 0.0).all()
 
@@ -169,8 +170,8 @@ def test_points_near_a_mark_are_told_by_their_part_of_the_gap():
     x = np.array([0.97, 0.99, 1.03, 1.05, 2.0, 2.95, 2.97, 3.1, 100.0])
     expected = [True, False, False, True, True, True, False, True, True]
     curve = Curve("", x, np.ones((1, 1, len(x))), marks)
-    assert curve.visible(0.9, 110.0).tolist() == expected
-    assert Curve("", x, curve.response, np.zeros(0)).visible(0.9, 110.0).all()
+    assert curve.visible(FrequencyAxis(0.9, 110.0, 1.0, "")).tolist() == expected
+    assert Curve("", x, curve.response, np.zeros(0)).visible(FrequencyAxis(0.9, 110.0, 1.0, "")).all()
 
 
 # --- phase and magnitude ---
@@ -339,7 +340,7 @@ def test_several_Nyquist_frequencies_share_a_legend_entry():
     assert legend_texts(plot.axes[0, 0])[2:] == ["Nyquist frequency (6.283, 31.42 rad/time)"]
 
 
-def test_a_single_lossless_system_without_a_name_is_called_the_model():
+def test_systems_without_a_name_are_called_models():
     data = ct.frd([1.0, 2.0], [1.0, 2.0])
     for sys in (phc.ph(phc.modes(1.0, 1.0)), phc.modes(1.0, 1.0)):
         assert legend_texts(bode_plot(sys, data=data).axes[0, 0]) == ["model", "data"]
@@ -347,9 +348,9 @@ def test_a_single_lossless_system_without_a_name_is_called_the_model():
     named = phc.ph(phc.modes(1.0, 1.0), name="mode")
     assert legend_texts(bode_plot(named, data=data).axes[0, 0]) == ["mode", "data"]
     two = [phc.ph(phc.modes(1.0, 1.0)), phc.ph(phc.modes(2.0, 1.0))]
-    assert legend_texts(bode_plot(two).axes[0, 0]) == [sys.name for sys in two]
+    assert legend_texts(bode_plot(two).axes[0, 0]) == ["model #1", "model #2"]
     plain = ct.tf([1], [1, 1])
-    assert legend_texts(bode_plot(plain, data=data).axes[0, 0]) == [plain.name, "data"]
+    assert legend_texts(bode_plot(plain, data=data).axes[0, 0]) == ["model", "data"]
 
 
 @pytest.mark.parametrize(
@@ -871,6 +872,65 @@ def test_a_title_that_does_not_fit_leaves_the_names_to_the_legend():
     plot = bode_plot([ct.tf([1], [1, 1], name=name) for name in names])
     assert plot.figure.get_suptitle() == "Bode plot" and legend_texts(plot.axes[0, 0]) == names
     assert bode_plot(ct.tf([1], [1, 1], name=names[0])).figure.get_suptitle() == f"Bode plot of {names[0]}"
+
+
+@pytest.mark.parametrize(
+    "response, first",
+    [
+        (lambda s: 1 / s**2, -180.0), (lambda s: 1 / (s**2 * (s + 1)), -180.0),
+        (lambda s: s**2 / (s**2 + 0.1 * s + 1), 180.0),
+        (lambda s: -1 / (s**2 + 0.1 * s + 1), 180.0), (lambda s: 1 / (s + 1), 0.0), (lambda s: 1 / s, -90.0),
+    ],
+    ids=["double integrator", "with a lag", "acceleration", "negative gain", "lag", "integrator"],
+)  # fmt: skip
+@pytest.mark.parametrize("rounding", [1.0, 1 + 1e-9j, 1 - 1e-9j])
+def test_a_phase_begins_in_the_branch_that_the_slope_of_the_gain_tells(response, first, rounding):
+    omega = np.geomspace(0.01, 10.0, 400)
+    phase = Curve("", omega, rounding * response(1j * omega)[None, None]).phase(0, 0)
+    assert abs(phase[0] - first) < 5.0
+    assert np.abs(np.diff(phase)).max() < 90.0
+
+
+def test_noise_in_a_table_draws_no_strokes_and_turns_nothing():
+    rng, omega = np.random.default_rng(0), np.linspace(0.1, 5.0, 400)
+    response = 1 / (1 - omega**2 + 0.2j * omega)
+    noisy = (omega > 2.0) & (omega < 3.0)
+    response[noisy] = np.exp(2j * np.pi * rng.uniform(size=noisy.sum()))
+    plot = bode_plot(ct.frd(response, omega))
+    line, dots = plot.axes[1, 0].lines
+    x, phase = line.get_data()
+    assert np.isnan(phase[(x > 2.1) & (x < 2.9)]).mean() > 0.9 and np.isfinite(phase[(x < 1.9) | (x > 3.1)]).all()
+    steps = np.abs(np.diff(phase))
+    assert np.nanmax(steps) < 150.0
+    np.testing.assert_allclose(phase[x > 3.2], -180.0, atol=5.0)
+    assert len(dots.get_xdata()) == np.isnan(phase).sum()
+
+
+LOG, LINEAR = np.geomspace(0.1, 5.0, 50), np.linspace(0.1, 5.0, 50)
+
+
+@pytest.mark.parametrize(
+    "scale, ends, grid, modes, logarithmic",
+    [
+        (None, (0.1, 5.0), LOG, None, True), (None, (0.1, 5.0), LINEAR, None, False),
+        (None, (0.1, 20.0), None, None, True), (None, (0.1, 20.0), 4 * LINEAR, np.array([5.0, 15.0]), False),
+        (None, (0.1, 20.0), 4 * LINEAR, np.array([0.3]), True),
+        (None, (0.1, 5.0), LINEAR, np.zeros(0), True), (None, (1.0, 1.01), np.geomspace(1.0, 1.01, 9), None, False),
+        ("linear", (0.1, 20.0), LOG, None, False), ("log", (1.0, 2.0), LINEAR, None, True),
+        (None, (0.0, 20.0), None, None, False),
+    ],
+)  # fmt: skip
+def test_a_frequency_axis_is_logarithmic_for_such_a_grid_or_beyond_two_decades(scale, ends, grid, modes, logarithmic):
+    assert is_logarithmic(scale, *ends, grid, modes) == logarithmic
+
+
+def test_the_scale_of_a_frequency_axis_can_be_said():
+    chain = frenkel_kontorova()
+    for draw in (bode_plot, phc.frf_plot):
+        for scale in ("linear", "log"):
+            assert draw(chain, scale=scale).axes[1, 0].get_xscale() == scale
+        with pytest.raises(StructureError, match="scale is 'decades'; it must be one of 'log', 'linear'"):
+            draw(chain, scale="decades")
 
 
 def test_the_phase_of_dots_is_not_unwrapped():

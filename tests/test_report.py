@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from datetime import date
 from html.parser import HTMLParser
 
 import control as ct
@@ -22,19 +23,22 @@ class Page(HTMLParser):
     def __init__(self, text):
         super().__init__()
         self.open, self.tags, self.sources, self.headings = [], [], [], []
+        self.links, self.places = [], []
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
         if tag not in ("meta", "img", "br"):
             self.open.append(tag)
-        self.sources += [value for name, value in attrs if name in ("src", "href")]
+        self.sources += [value for name, value in attrs if name == "src"]
+        self.links += [value for name, value in attrs if name == "href"]
+        self.places += [f"#{value}" for name, value in attrs if name == "id"]
 
     def handle_endtag(self, tag):
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        if self.open and self.open[-1] in ("h1", "h2"):
+        if self.open and self.open[-1] in ("h1", "h2", "h3"):
             self.headings.append(data)
 
 
@@ -57,6 +61,8 @@ def test_page_stands_alone_with_all_its_parts(structure, tmp_path):
     text = (tmp_path / "fit.html").read_text(encoding="utf-8")
     page = Page(text)
     assert not page.open and "script" not in page.tags and "link" not in page.tags
+    assert page.links == page.places and "#summary" in page.links
+    assert date.today().isoformat() in text and "@media print" in text
     assert page.sources and all(one.startswith("data:image/svg+xml;base64,") for one in page.sources)
     for heading in ("Tower <1>", "Tests of structure", "Measured and predicted", "Frequency responses", "Mode shapes",
                     "Modal assurance", "Stabilisation", "Residuals", "To repeat it"):  # fmt: skip

@@ -68,6 +68,7 @@ PICTURES = {
     "residuals": (lambda **k: phc.residual_plot(residuals(record()), **k), (2, 1)),
     "residual response": (lambda **k: phc.residual_plot(residuals(response()), **k), (2, 1)),
     "responses": (lambda **k: phc.frf_plot(fitted(), segments=2, **k), (2, 1)),
+    "nyquist": (lambda **k: phc.nyquist_plot(structure(), ct.frd(structure(), np.arange(1.0, 90.0)), **k), (1, 2)),
     "circles": (lambda **k: phc.circle_plot(structure(), ct.frd(structure(), np.arange(1.0, 90.0)), **k), (1, 2)),
     "shapes": (lambda **k: phc.shape_plot(np.array([[1.0, 0.5j, 0.3], [1.0, 0.2, -1.0]]), **k), (1, 2)),
     "stabilisation": (lambda **k: phc.stabilisation_plot([[1j], [1j, -1 + 2j]], chosen=2, **k), (1, 1)),

@@ -1,45 +1,51 @@
-"""Bode plots: numbers first, then matplotlib."""
+"""Bode plots: frequencies that resolve every resonance, responses and measurements; then matplotlib."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator, MultipleLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.linalg import matrix_balance
 
 from .. import _checks
 from .._types import Array
-from .._units import unit_for
+from .._units import parted, unit_for
 from ..analysis.margins import margin
+from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
-from .bode_data import BodeData, bode_data
-from .style import (
-    BAND,
-    DOTS,
-    LineStyle,
-    Look,
-    PlainLogFormatter,
-    frequency_axis,
-    gain_label,
-    labelled,
-    picture,
-    plain,
-    told_gain_unit,
+from ..numerics.rational import poles as poles_of
+from ..systems.base import in_normal_form
+from .inputs import Subject, as_measured, is_fit, models_around, subjects_of, timebase, title_of
+from .response_picture import (
+    LIMIT,
+    POLAR,
+    Curve,
+    DrawnResponses,
+    FrequencyAxis,
+    Scale,
+    band_of,
+    distance,
+    draw_responses,
+    is_logarithmic,
 )
+from .style import LineStyle, Look, frequency_axis, plain, told_gain_unit
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-_MANY = 50  # poles and zeros
-_NARROW = 100.0  # ratio of the ends of the frequency axis below which its labels are plain numbers
-_CROWD_BELOW = 2.0  # place among what is drawn, above the grid
-
-_PALE_DOTS: dict[str, Any] = {**DOTS, "markersize": 2.5, "color": "0.78", "zorder": 2.1}
-_LIMIT: dict[str, Any] = {"color": "0.3", "linestyle": ":", "linewidth": 1.0}
+_PER_DECADE = 200
+_AROUND_ALL = 6000  # grid points on each side of all poles and zeros together
+_AROUND_BAND = 400  # and of a band, each of which costs as many responses as there are models
+_CLOSEST_BAND = 1e-6
+_CLOSEST = 1e-8  # relative distance of the nearest grid points to a pole or zero that is an eigenvalue with rounding
+_CLOSEST_PH = 1e-12  # and to one of a PH system: there a nearly cancelled resonance runs off the picture too
+_NEGLIGIBLE = 1e-9  # relative size below which a computed pole or zero is at the origin
+_COHERENT = 0.5  # coherence below which dots are pale
 _MARGIN: dict[str, Any] = {"linestyle": "-", "linewidth": 1.8, "zorder": 2.8}
 
 
@@ -54,6 +60,7 @@ def bode_plot(
     level: float = 0.95,
     omega_limits: ArrayLike | None = None,
     omega_num: int | None = None,
+    scale: str = "log",
     Hz: bool = False,
     dB: bool = True,
     deg: bool = True,
@@ -93,6 +100,8 @@ def bode_plot(
         Ends of the frequency axis, in Hz if `Hz` is true, otherwise in rad per unit time.
     omega_num : int, optional
         Number of frequencies between the ends; those around poles and zeros come on top.
+    scale : {'log', 'linear'}
+        Scale of the frequency axis.
     Hz : bool
         Frequency axis in Hz instead of rad per unit time; where no unit of time is known, times are taken for seconds.
     dB, deg : bool
@@ -164,12 +173,13 @@ def bode_plot(
         dB=dB, deg=deg, plot_magnitude=plot_magnitude, plot_phase=plot_phase, wrap_phase=wrap_phase,
         display_margins=display_margins,
     )  # fmt: skip
-    rows = [name for name, wanted in (("magnitude", plot_magnitude), ("phase", plot_phase)) if wanted]
+    rows = [name for name, wanted in zip(POLAR, (plot_magnitude, plot_phase), strict=True) if wanted]
     if not rows:
         raise StructureError("plot_magnitude and plot_phase are both False; there is nothing to draw")
     numbers = bode_data(
         sysdata, omega, data, segments=segments, intersample=intersample, omega_limits=omega_limits,
         omega_num=omega_num, unit=unit, confidence=confidence, level=level, label=label, data_label=data_label,
+        unit_name=unit_name, scale=scale,
     )  # fmt: skip
     outputs, inputs, kinds = len(numbers.output_labels), len(numbers.input_labels), len(rows)
     if display_margins and (outputs, inputs) != (1, 1):
@@ -177,128 +187,28 @@ def bode_plot(
             f"margins are those of one port; the systems have {outputs} outputs and {inputs} inputs: draw the loop "
             "sys[i, j]"
         )
-    height = 1.6 + 1.6 * kinds if outputs == 1 else 1.9 * kinds * outputs
-    meaning = "magnitude above phase for each output" if kinds == 2 else ""
+    gain_unit = told_gain_unit(numbers, data) if gain_unit is None else gain_unit
+    drawing = Scale(dB, deg, wrap_phase)
     with look.context():
-        drawn = picture(
-            look, ax, (kinds * outputs, inputs), (max(6.4, 3.8 * inputs), height), meaning=meaning, sharex=True
-        )
-        for (row, j), axis in np.ndenumerate(drawn.axes):
-            if rows[row % kinds] == "magnitude":
-                drawn.lines[row, j] = _draw_magnitudes(axis, numbers, row // kinds, j, unit, look, dB)
-            else:
-                drawn.lines[row, j] = _draw_phases(axis, numbers, row // kinds, j, unit, look, deg, wrap_phase)
-            _draw_limits(axis, [limit / unit for limit in numbers.nyquist], unit_name)
-            look.lattice(axis, minor="x")
-        gain_unit = told_gain_unit(numbers, data) if gain_unit is None else gain_unit
-        gain = gain_label(gain_unit) if dB else labelled("Magnitude", gain_unit)
-        phase = "Phase [deg]" if deg else "Phase [rad]"
-        _label_axes(drawn.axes, numbers, unit, unit_name, [gain if kind == "magnitude" else phase for kind in rows])
+        meaning = "magnitude above phase for each output" if kinds == 2 else ""
+        drawn = draw_responses(numbers, look, ax, rows, drawing, [gain_unit] * outputs, meaning=meaning)
         if display_margins:
             panels = dict(zip(rows, drawn.axes[:, 0], strict=True))
-            _draw_margins(panels, numbers, drawn.lines[0, 0], unit, unit_name, dB, deg)
+            subjects = subjects_of(sysdata, None, tabulated=True)
+            observed = [one.given.observed_system if is_fit(one.given) else one.system for one in subjects]
+            _draw_margins(panels, numbers, observed, drawn.lines[0, 0], drawing)
         # a curve that is nowhere must at least be told
         legend = look.legend(drawn.axes[0, -1], 1 if any(curve.vanishes for curve in numbers.curves) else 2)
         return drawn.finished(numbers.title, legend)
 
 
-def _draw_magnitudes(
-    axis: Axes, numbers: BodeData, i: int, j: int, unit: float, look: Look, decibels: bool
-) -> list[Any]:
-    def scaled(level: Array) -> Array:
-        return level if decibels else 10.0 ** (level / 20.0)
-
-    levels = [scaled(curve.magnitude(i, j)) for curve in numbers.curves]
-    bands = [None if curve.band is None else scaled(curve.band.magnitude) for curve in numbers.curves]
-    dots = None if numbers.measured is None else scaled(numbers.measured.magnitude(i, j))
-    lines = _draw_panel(axis, numbers, levels, bands, dots, unit, look, medians=True)
-    everything = numbers.curves if numbers.measured is None else [*numbers.curves, numbers.measured]
-    values = np.concatenate([curve.shown(i, j, numbers.low, numbers.high) for curve in everything])
-    if not decibels:
-        axis.set_yscale("log")
-    if len(values):
-        margin = 5.0 + 0.05 * np.ptp(values)
-        axis.set_ylim(*scaled(np.array([values.min() - margin, values.max() + margin])))
-    if decibels:
-        axis.yaxis.set_major_locator(MaxNLocator(nbins=8, steps=[1, 2, 4, 5, 10]))
-    return lines
-
-
-def _draw_phases(
-    axis: Axes, numbers: BodeData, i: int, j: int, unit: float, look: Look, degrees: bool, wrap: bool
-) -> list[Any]:
-    size, first, measured = 1.0 if degrees else np.pi / 180.0, numbers.curves[0], numbers.measured
-    phases = [size * curve.phase(i, j, unwrap=not wrap) for curve in numbers.curves]
-    bands = [None if curve.band is None else size * curve.phase_band(i, j, unwrap=not wrap) for curve in numbers.curves]
-    dots = None
-    if measured is not None:
-        dots = size * (measured.phase(i, j, unwrap=False) if wrap else measured.phase_near(i, j, first))
-    lines = _draw_panel(axis, numbers, phases, bands, dots, unit, look)
-    values = np.concatenate([*phases, [] if dots is None else dots]) / size
-    low, high = min(-90.0, float(np.nanmin(values, initial=0.0))), max(90.0, float(np.nanmax(values, initial=0.0)))
-    step = 90.0 if high - low <= 450.0 else 180.0
-    axis.set_ylim(size * (low - 0.25 * step), size * (high + 0.25 * step))
-    if high - low <= 1440.0:
-        axis.yaxis.set_major_locator(MultipleLocator(size * step))
-        axis.yaxis.set_minor_locator(MultipleLocator(size * step / 2.0))
-    if not degrees:
-        axis.yaxis.set_major_formatter(lambda value, _: f"{value / np.pi:g}π" if value else "0")
-    return lines
-
-
-def _draw_panel(
-    axis: Axes, numbers: BodeData, values: list[Array], bands: list[Array | None], dots: Array | None, unit: float,
-    look: Look, medians: bool = False,
-) -> list[Any]:  # fmt: skip
-    """Curves, medians where they close to a block, bands around them, and the measurement; lines of all but bands."""
-    lines: list[Any] = []
-    for k, (curve, value) in enumerate(zip(numbers.curves, values, strict=True)):
-        label = plain(f"{curve.label}: zero" if curve.vanishes else curve.label)
-        properties, breaks, crowds = look.curve(k), curve.gaps(), curve.crowds(numbers.low, numbers.high)
-        if len(breaks):
-            # what stands between two breaks is no line
-            properties |= {"marker": ".", "markersize": 4.0}
-        if len(curve.singular) > _MANY and "linewidth" not in look.line:
-            # many resonances are told apart by thinner lines only
-            properties["linewidth"] = 0.7
-        if crowds:
-            properties["zorder"] = _CROWD_BELOW
-        omega = np.insert(curve.omega, breaks, np.nan) / unit
-        lines += axis.plot(omega, np.insert(value, breaks, np.nan), label=label, **properties)
-        # a block is pale, and nothing else: above such curves, below all others
-        for start, end in crowds:
-            pale: dict[str, Any] = {"color": axis.get_facecolor(), "alpha": 0.7, "linewidth": 0.0}
-            axis.axvspan(start / unit, end / unit, zorder=_CROWD_BELOW + 0.05, **pale)
-    for curve, value, ends, line in zip(numbers.curves, values, bands, lines, strict=True):
-        omega, middle = curve.typical(value, numbers.low, numbers.high)
-        if medians and len(omega):
-            label = plain(f"{curve.label}: median where resonances are closer than dots")
-            axis.plot(omega / unit, middle, label=label, color=line.get_color(), linewidth=1.6, zorder=3.1)
-        if curve.band is not None and ends is not None:
-            label = plain(curve.band.label)
-            axis.fill_between(curve.band.omega / unit, *ends, label=label, color=line.get_color(), **BAND)
-    if numbers.measured is not None and dots is not None:
-        omega, doubtful = numbers.measured.omega / unit, numbers.measured.doubtful
-        lines += axis.plot(omega[~doubtful], dots[~doubtful], label=plain(numbers.measured.label), **DOTS)
-        if doubtful.any():
-            lines += axis.plot(omega[doubtful], dots[doubtful], label="coherence below 0.5", **_PALE_DOTS)
-    return lines
-
-
-def _draw_limits(axis: Axes, limits: list[float], unit_name: str) -> None:
-    values = ", ".join(f"{limit:.4g}" for limit in limits)
-    for k, limit in enumerate(limits):
-        label = "_" if k else plain(f"Nyquist frequency ({values} {unit_name})")
-        axis.axvline(limit, label=label, zorder=1, **_LIMIT)
-
-
 def _draw_margins(
-    panels: dict[str, Axes], numbers: BodeData, lines: list[Any], unit: float, unit_name: str, dB: bool, deg: bool
+    panels: dict[str, Axes], numbers: DrawnResponses, systems: list[Any], lines: list[Any], scale: Scale
 ) -> None:
     """Distances from -180 degrees where the gain is 1, and from a gain of 1 where the phase is -180 degrees."""
-    size = 1.0 if deg else np.pi / 180.0
+    size, unit, unit_name = scale.angle, numbers.axis.unit, numbers.axis.unit_name
     texts = []
-    for system, curve, line in zip(numbers.systems, numbers.curves, lines[: len(numbers.curves)], strict=True):
+    for system, curve, line in zip(systems, numbers.curves, lines[: len(numbers.curves)], strict=True):
         gm, pm, wcg, wcp = margin(system)
         style = {"label": "_", "color": line.get_color(), **_MARGIN}
         decibels = 20.0 * np.log10(gm) if gm else -np.inf
@@ -308,12 +218,12 @@ def _draw_margins(
             critical = -180.0 + 360.0 * np.round((at - (pm - 180.0)) / 360.0)
             low, high = panels["phase"].get_ylim()
             panels["phase"].set_ylim(min(low, size * (critical - 20.0)), max(high, size * (critical + 20.0)))
-            panels["phase"].axhline(size * critical, **_LIMIT)
+            panels["phase"].axhline(size * critical, **LIMIT)
             panels["phase"].plot([wcp / unit] * 2, [size * critical, size * (critical + pm)], **style)
         if "magnitude" in panels:
-            panels["magnitude"].axhline(0.0 if dB else 1.0, **_LIMIT)
+            panels["magnitude"].axhline(0.0 if scale.dB else 1.0, **LIMIT)
             if np.isfinite(decibels):
-                panels["magnitude"].plot([wcg / unit] * 2, [-decibels, 0.0] if dB else [1.0 / gm, 1.0], **style)
+                panels["magnitude"].plot([wcg / unit] * 2, [-decibels, 0.0] if scale.dB else [1.0 / gm, 1.0], **style)
         gain = f"{decibels:.4g} dB at {wcg / unit:.4g} {unit_name}" if np.isfinite(decibels) else f"{decibels:g}"
         phase = f"{pm:.4g}° at {wcp / unit:.4g} {unit_name}" if np.isfinite(pm) else f"{pm:g}"
         name = f"{curve.label}: " if len(numbers.curves) > 1 else ""
@@ -323,17 +233,249 @@ def _draw_margins(
     axis.text(0.01, 0.02, "\n".join(texts), transform=axis.transAxes, fontsize="x-small", zorder=4, bbox=box)
 
 
-def _label_axes(axes: NDArray[Any], numbers: BodeData, unit: float, unit_name: str, quantities: list[str]) -> None:
-    for (row, j), axis in np.ndenumerate(axes):
-        i, kind = divmod(row, len(quantities))
-        axis.set_xscale("log")
-        axis.set_xlim(numbers.low / unit, numbers.high / unit)
-        if numbers.high < _NARROW * numbers.low:
-            axis.xaxis.set_major_formatter(PlainLogFormatter())
-            axis.xaxis.set_minor_formatter(PlainLogFormatter(labelOnlyBase=False))
-        if j == 0:
-            axis.set_ylabel(quantities[kind])
-        if row == len(axes) - 1:
-            axis.set_xlabel(labelled("Frequency", unit_name))
-        if axes.size > len(quantities) and kind == 0:
-            axis.set_title(plain(f"{numbers.input_labels[j]} to {numbers.output_labels[i]}"), loc="left")
+# --- numbers ----------------------------------------------------------------------------------------------------------
+
+
+def bode_data(
+    sysdata: Any,
+    omega: ArrayLike | None = None,
+    data: Any = None,
+    *,
+    segments: int = 8,
+    intersample: str = "zoh",
+    omega_limits: ArrayLike | None = None,
+    omega_num: int | None = None,
+    unit: float = 1.0,
+    confidence: Any = None,
+    level: float = 0.95,
+    label: str | Sequence[str] | None = None,
+    data_label: str | None = None,
+    unit_name: str = "",
+    scale: str | None = "log",
+) -> DrawnResponses:
+    """Compute what `bode_plot` draws; its arguments, and the unit of frequencies with its size in rad per unit time."""
+    if omega_num is not None:
+        _checks.whole_number("omega_num", omega_num, 1)
+    subjects = subjects_of(sysdata, label, tabulated=True)
+    first = subjects[0].system
+    models = models_around(confidence, subjects, "magnitude_band", "phase_band")
+    measured = _measurement(data, first, segments, intersample, data_label)
+    extents = np.concatenate([_extent(one.system, measured) for one in subjects])
+    grid, low, high = _frequencies(extents, measured, omega, omega_limits, unit)
+    axis = FrequencyAxis(low, high, unit, unit_name, is_logarithmic(scale, low, high))
+    curves = [_curve(one, grid, low, high, omega_num) for one in subjects]
+    for k, (curve, drawn) in enumerate(zip(curves, models, strict=True)):
+        if drawn is not None:
+            near = frequency_grid(curve.singular, low, high, False, omega_num, _AROUND_BAND, _CLOSEST_BAND)
+            curves[k] = replace(curve, bands={(0, 0): band_of(drawn, near if grid is None else grid, level)})
+    title = title_of("Bode plot", subjects, label is not None)
+    if title == "Bode plot" and first.issiso():
+        source, sensor = (parted(one[0])[0] for one in (first.input_labels, first.output_labels))
+        title += f", {source} to {sensor}" * (not {source, sensor} & {"u", "y", "u[0]", "y[0]"})
+    dots = [] if measured is None else [measured]
+    return DrawnResponses(curves, dots, axis, first.output_labels, first.input_labels, title)
+
+
+def _measurement(data: Any, sys: Any, segments: int, intersample: str, label: str | None) -> Curve | None:
+    """The dots: a frequency response as it is, or the spectral estimate of a record."""
+    if data is None:
+        return None
+    data = data.as_response() if hasattr(data, "as_response") else data
+    if isinstance(data, ct.TimeResponseData):
+        data = spectral_estimate(data, segments=segments, intersample=intersample)
+        label = label or f"data (spectral estimate, {data.segments} segments)"
+    if not isinstance(data, ct.FrequencyResponseData):
+        raise StructureError(
+            f"data is a {type(data).__name__}; pass a record as control.TimeResponseData, or a "
+            "control.FrequencyResponseData"
+        )
+    if (data.noutputs, data.ninputs) != (sys.noutputs, sys.ninputs):
+        raise StructureError(
+            f"the data have {data.noutputs} outputs and {data.ninputs} inputs, the systems {sys.noutputs} and "
+            f"{sys.ninputs}; select the same ones"
+        )
+    curve = _tabulated(data, label or "data")
+    if isinstance(data, SpectralEstimate) and data.segments > 1:
+        return replace(curve, doubtful=np.array([data.coherence[data.omega > 0] < _COHERENT]))
+    return curve
+
+
+def _tabulated(data: ct.FrequencyResponseData, label: str) -> Curve:
+    seen = data.omega > 0
+    if not seen.any():
+        raise StructureError("the frequency response data have no frequency above 0; nothing can be drawn")
+    nyquist = data.nyquist if isinstance(data, SpectralEstimate) else _nyquist(data)
+    return Curve(label, data.omega[seen], data.frdata[:, :, seen], nyquist=nyquist, tabulated=True)
+
+
+def _curve(subject: Subject, grid: Array | None, low: float, high: float, count: int | None) -> Curve:
+    """Response of a system at the given frequencies, or on a grid of its own."""
+    sys = subject.system
+    if isinstance(sys, ct.FrequencyResponseData):
+        return _tabulated(sys, subject.label)
+    marks, singular = features(sys)
+    grid = frequency_grid(marks, low, high, subject.lossless, count) if grid is None else grid
+    nyquist = _nyquist(sys)
+    grid = grid if nyquist is None else grid[grid <= nyquist]
+    s = 1j * grid
+    response = _balanced(sys)(s if nyquist is None else np.exp(s * timebase(sys)), squeeze=False, warn_infinite=False)
+    response = as_measured(subject.given, response, grid)
+    return Curve(subject.label, grid, response, singular, nyquist)
+
+
+def _balanced(sys: Any) -> Any:
+    """A plain state space in states of like sizes: python-control loses the digits of a response where they differ."""
+    if type(sys) is not ct.StateSpace or not sys.nstates:
+        return sys
+    size = matrix_balance(sys.A, permute=False, separate=True)[1][0]
+    return ct.ss(sys.A * size / size[:, None], sys.B / size[:, None], sys.C * size, sys.D, sys.dt)
+
+
+def _nyquist(sys: Any) -> float | None:
+    return float(np.pi) / timebase(sys) if sys.isdtime(strict=True) else None
+
+
+# --- frequency axes --------------------------------------------------------------------------------------------------
+
+
+def _frequencies(
+    extents: Array, measured: Curve | None, omega: Any, omega_limits: Any, unit: float
+) -> tuple[Array | None, float, float]:
+    """Frequencies asked for, if any, and the ends of the axis, all in rad per unit time."""
+    given = None if omega is None else _ascending("omega", omega)
+    ends = _default_limits(extents, measured, unit) if given is None else given[[0, -1]]
+    if omega_limits is not None:
+        ends = _ascending("omega_limits", omega_limits) * unit
+        if len(ends) != 2:
+            raise StructureError(f"omega_limits has {len(ends)} entries; give the lowest and the highest frequency")
+    # two frequencies are limits
+    return (given if given is not None and len(given) > 2 else None), float(ends[0]), float(ends[1])
+
+
+def _ascending(name: str, value: Any) -> Array:
+    array = _checks.real_array(name, value, 1)
+    if len(array) < 2 or array[0] <= 0 or np.any(np.diff(array) <= 0):
+        raise StructureError(
+            f"{name} must be at least two positive, ascending frequencies; it has {len(array)} entries"
+            + (f" from {array.min():.6g} to {array.max():.6g}" if len(array) else "")
+        )
+    return array
+
+
+def _default_limits(extents: Array, measured: Curve | None, unit: float) -> Array:
+    """Full decades that hold all systems, 0.1 to 10 for none; with a measurement what it covers and they need."""
+    if measured is not None:
+        top = measured.omega[-1] if measured.nyquist is None else measured.nyquist
+        margin = min(1.1, (top / measured.omega[0]) ** 0.05) if top > measured.omega[0] else 1.1
+        everything = np.concatenate([extents, [measured.omega[0] / margin, top * margin]])
+        return np.array([everything.min(), everything.max()])
+    if not len(extents):
+        return np.array([0.1, 10.0]) * unit
+    # a table may end at a decade, to rounding
+    low = np.floor(np.log10(extents.min() / unit) + 1e-9)
+    high = np.ceil(np.log10(extents.max() / unit) - 1e-9)
+    return 10.0 ** np.array([low, high]) * unit
+
+
+def _extent(sys: Any, measured: Curve | None) -> Array:
+    """Ends of what the picture must show: twice as far as the poles and zeros are, or as far as tabulated data are.
+
+    Poles and zeros within a measurement ask for no more than it covers.
+    """
+    if isinstance(sys, ct.FrequencyResponseData):
+        return _tabulated(sys, "").omega[[0, -1]]
+    marks = features(sys)[0]
+    if not len(marks):
+        return marks
+    ends, wider = marks[[0, -1]], np.array([0.5, 2.0])
+    if measured is not None:
+        beyond = [ends[0] < measured.omega[0], ends[1] > measured.omega[-1]]
+        wider = np.where(beyond, wider, 1.0)
+    return np.asarray(ends * wider, float)
+
+
+def features(sys: Any) -> tuple[Array, Array]:
+    """Frequencies of the poles and zeros of a system, ascending, positive, and those of them on the imaginary axis.
+
+    The second kind is where the response is infinite or zero; it includes every pole and zero of a lossless one-port.
+    """
+    # with several ports the zeros of the system itself are not seen in a picture
+    entries = [sys] if sys.issiso() else [sys[i, j] for i in range(sys.noutputs) for j in range(sys.ninputs)]
+    poles = poles_of(sys)
+    points = np.concatenate([poles, *(np.asarray(entry.zeros(), complex) for entry in entries)])
+    if sys.isdtime(strict=True):
+        points = np.log(points[points != 0]) / timebase(sys)
+    points = points[np.isfinite(points)]
+    if in_normal_form(sys) and sys.issiso():
+        on_axis = np.unique(points.imag[points.imag > 0])
+        return on_axis, on_axis
+    size = np.abs(points)
+    # eigenvalue solvers return zeros at infinity as huge numbers, and those at the origin as tiny ones
+    scale = np.max(np.abs(poles), initial=0.0) if sys.isctime() else np.pi / timebase(sys)
+    points = points[(size > _NEGLIGIBLE * scale) & ((size < scale / _NEGLIGIBLE) | (scale == 0))]
+    on_axis = points[(np.abs(points.real) <= 1e-7 * np.abs(points)) & (points.imag > 0)].imag
+    # well damped ones have no peak, and of repeated real ones the imaginary parts are rounding
+    peaks = points.imag[points.imag > 0.5 * np.abs(points)]
+    return np.unique(np.concatenate([np.abs(points), peaks])), np.unique(on_axis)
+
+
+def frequency_grid(
+    marks: ArrayLike,
+    low: float,
+    high: float,
+    exact: bool = False,
+    count: int | None = None,
+    around: int = _AROUND_ALL,
+    closest: float | None = None,
+) -> Array:
+    """Frequencies from `low` to `high`, dense on both sides of every mark and never on one.
+
+    Parameters
+    ----------
+    marks : array_like, shape (N,)
+        Frequencies of poles and zeros, positive.
+    low, high : float
+        Ends of the grid, `0 < low < high`.
+    exact : bool
+        Whether marks are told apart however close they are; otherwise those closer than a tenth of `closest` may be one
+        that was rounded.
+    count : int, optional
+        Number of frequencies between the ends, those around the marks apart.
+    around : int
+        Number of those on each side of all marks between the ends together, as far as there are at least 3 and at most
+        30 for each.
+    closest : float, optional
+        Distance of the nearest points to a mark, relative to its frequency; by default 1e-8, of exact ones 1e-12.
+
+    Returns
+    -------
+    ndarray
+        Ascending frequencies: 200 a decade, at least 500, and on each side of each mark 3 to 30 points at geometrically
+        shrinking distances, from half way to the next mark, or half its frequency, down to `closest`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ph_control.plotting.bode_plot import frequency_grid
+    >>> grid = frequency_grid([1.0], 0.1, 10.0)
+    >>> bool(np.abs(grid - 1.0).min() > 0), bool(np.abs(grid - 1.0).min() < 1e-7)
+    (True, True)
+    """
+    closest = closest or (_CLOSEST_PH if exact else _CLOSEST)
+    if count is None:
+        count = 2 + int(np.ceil(max(500.0, _PER_DECADE * np.log10(high / low))))
+    base = np.geomspace(low, high, max(2, count))
+    base[0], base[-1] = low, high
+    marks = np.unique(np.asarray(marks, dtype=float))
+    gaps = np.diff(marks, prepend=0.0, append=np.inf)
+    # fewer for each of very many, which the picture cannot separate anyhow
+    inside = int(np.sum((marks >= low) & (marks <= high)))
+    shrinking = np.linspace(0.0, 1.0, int(np.clip(around // max(1, inside), 3, 30)))
+    parts = [base]
+    for side, gap in ((-1.0, gaps[:-1]), (1.0, gaps[1:])):
+        far = 0.5 * np.minimum(gap, marks)
+        near = np.minimum(closest * marks, far)
+        parts.append((marks[:, None] + side * far[:, None] * (near / far)[:, None] ** shrinking).ravel())
+    grid = np.unique(np.concatenate(parts))
+    clear = distance(grid, marks) > (0.0 if exact else 0.1 * closest * grid)
+    return grid[(grid >= low) & (grid <= high) & clear]

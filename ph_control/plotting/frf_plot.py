@@ -3,35 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
-from matplotlib.ticker import MaxNLocator, MultipleLocator
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from .. import _checks
 from .._display import counted
-from .._types import Array, ComplexArray, Indices, Mask
-from .._units import parted, unit_for
+from .._types import Array, ComplexArray, Indices
+from .._units import unit_for
 from ..analysis.spectral_estimate import INTERSAMPLE, hold_response, response_matrix_estimate
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics.rational import poles as poles_of
-from .bode_data import band_of, decibels, degrees_from
 from .inputs import as_measured, measurements_of, recording_in, table_in, timebase
+from .response_picture import (
+    CARTESIAN,
+    POLAR,
+    Curve,
+    DrawnResponses,
+    FrequencyAxis,
+    ResponseBand,
+    Scale,
+    band_of,
+    draw_responses,
+    is_logarithmic,
+)
 from .style import (
-    BAND,
     DOTS,
+    ZERO,
     LineStyle,
     Look,
     checked_limits,
     frequency_axis,
-    gain_label,
-    labelled,
-    picture,
+    imaginary_is_turned,
+    panels,
     plain,
     told_gain_units,
 )
@@ -45,16 +55,17 @@ _TURN = np.tan(np.radians(np.linspace(-89.7, 89.7, 121)))  # about a pole, in ha
 _NOTCH = 9  # frequencies on each side of an antiresonance
 NARROWEST = 1e-6  # half width of a resonance beside its frequency, below which it counts as that of a lossless mode
 _DECADES = 30.0  # ratio of natural frequencies beyond which their scale is logarithmic
-_BEYOND = 45.0  # degrees beyond a turn of the phase in which measured ones stay beside the model
-_DEEPEST = 0.02  # share of a curve in its antiresonances that may leave the picture
 _FOLDED = 20  # turns of the sampling frequency from which responses fold back
 _FAR = 1e6  # times the highest of these: the response there is what is fed through
-_LETTERS = 34  # of the name of a panel
+_FLOOR = 1e-3  # of the highest frequency, where a curve begins on an axis that begins at 0
 _DRAWS = 300  # models of a band
-_CUTS = np.arange(-360.0, 0.0, 45.0) + 45.0
 
+_HEIGHTS = 2.8, 5.2  # of a figure, inches
+_MARKED = 10  # decades of frequency, beyond which none is marked
+_MARK: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5.0, "markerfacecolor": "white", "zorder": 4}
+ESTIMATED = "measured (spectral estimate)"
+PARTS = {"magnitude-phase": POLAR, "real-imaginary": CARTESIAN}
 MODEL_LINE: dict[str, Any] = {"color": "C0", "linewidth": 1.2, "zorder": 3}
-_PALE: dict[str, Any] = {**DOTS, "color": "0.8", "zorder": 2.1}
 
 
 def frf_plot(
@@ -71,6 +82,9 @@ def frf_plot(
     level: float = 0.95,
     time_unit: str | None = None,
     gain_unit: str | Sequence[str] | None = None,
+    scale: str | None = None,
+    parts: str = "magnitude-phase",
+    negative_imaginary: bool | None = None,
     ax: Any = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
@@ -105,6 +119,14 @@ def frf_plot(
     gain_unit : str or sequence of str, optional
         Unit of the responses, output over input, such as "m/s/N"; one for each output if they differ.  By default that
         of names such as "force [N]" where all have one, of the model or else of the measurement.
+    scale : {'log', 'linear'}, optional
+        Scale of the frequency axis.  By default logarithmic if the measured frequencies are, or if the axis spans more
+        than two decades and the modes are not all in the upper part of evenly spaced frequencies.
+    parts : {'magnitude-phase', 'real-imaginary'}
+        What is drawn of each response; bands are those of magnitude and phase.
+    negative_imaginary : bool, optional
+        Whether the imaginary part is drawn with its sign changed, as is usual for impedances; by default where the
+        unit of the response is the ohm.
     ax : array of matplotlib.axes.Axes, shape (2p, m), optional
         Axes to draw on, magnitude above phase for each response.  By default a new figure.
     **style
@@ -123,9 +145,8 @@ def frf_plot(
 
     Notes
     -----
-    Each resonance and antiresonance has frequencies of its own.  The phase is that of the quantity measured, and its
-    turn begins where the model has the fewest; measured phases are those next to the model, so that none jumps by a
-    turn where the model does not.  Frequencies are to a logarithmic scale if the modes span more than a factor of 30.
+    Each resonance and antiresonance has frequencies of its own.  The phase is that of the quantity measured, continuous
+    along the model; measured phases are within half a turn of it.
 
     Responses are estimated from recordings as cross spectra of outputs and inputs over spectra of the inputs (H1), all
     recordings together, and over the response of the hold.  What folds back from beyond the Nyquist frequency of a
@@ -143,39 +164,100 @@ def frf_plot(
     ((2, 2), 'Magnitude [dB re 1 m/N]', 'Frequency [Hz]')
     >>> plt.close(plot.figure)
     """
-    numbers = frf_data(
-        model, data, outputs=outputs, inputs=inputs, omega_limits=omega_limits, Hz=Hz, segments=segments,
-        intersample=intersample, confidence=confidence, level=level, time_unit=time_unit,
-    )  # fmt: skip
-    units = _gain_units(gain_unit, numbers)
     look = Look.of(style)
-    cells, shape = numbers.cells(1 if ax is not None else _WIDE)
-    rows, columns = shape
-    size = (max(6.4, 3.5 * columns), 0.9 + (3.4 if rows == 1 else 2.3 if rows <= 3 else 1.6) * rows)
+    _checks.choice("parts", parts, tuple(PARTS))
+    numbers, units = frf_data(
+        model, data, outputs=outputs, inputs=inputs, omega_limits=omega_limits, Hz=Hz, segments=segments,
+        intersample=intersample, confidence=confidence, level=level, time_unit=time_unit, gain_unit=gain_unit,
+        scale=scale,
+    )  # fmt: skip
+    drawing = Scale(negative_imaginary=imaginary_is_turned(negative_imaginary, units))
     with look.context():
-        drawn = picture(
-            look, ax, (2 * rows, columns), size, height_ratios=[1.6, 1.0] * rows, sharex=True,
-            meaning="magnitude above phase of each response",
-        )  # fmt: skip
-        for k, (i, j) in enumerate(cells):
-            row, column = divmod(k, columns)
-            pair = drawn.axes[2 * row : 2 * row + 2, column]
-            for part, lines in enumerate(_draw_response(pair, numbers, i, j, look)):
-                drawn.lines[2 * row + part, column] = lines
-            if column == 0:
-                short = rows > 1
-                unit = _checks.unit_text(units[numbers.outputs[i]])
-                pair[0].set_ylabel((f"dB re 1 {plain(unit)}" if unit else "dB") if short else gain_label(unit or None))
-                pair[1].set_ylabel("deg" if short else "Phase [deg]")
-            # those below may have no panel
-            if k + columns >= len(cells):
-                pair[1].set_xlabel(labelled("Frequency", numbers.unit_name))
-                pair[1].tick_params(labelbottom=True)
-        for k in range(len(cells), rows * columns):
-            for row in (2 * (k // columns), 2 * (k // columns) + 1):
-                drawn.axes[row, k % columns].set_visible(False)
-                drawn.lines[row, k % columns] = []
+        meaning = f"{parts.replace('-', ' above ')} of each response"
+        drawn = draw_responses(numbers, look, ax, PARTS[parts], drawing, units, _WIDE, meaning)
         return drawn.finished(numbers.title, drawn.legend_of_all())
+
+
+def nyquist_plot(
+    model: Any,
+    data: Any = None,
+    *,
+    outputs: Sequence[int | str] | None = None,
+    inputs: Sequence[int | str] | None = None,
+    omega_limits: ArrayLike | None = None,
+    Hz: bool | None = None,
+    segments: int = 8,
+    intersample: str | None = None,
+    negative_imaginary: bool | None = None,
+    time_unit: str | None = None,
+    gain_unit: str | Sequence[str] | None = None,
+    ax: Any = None,
+    **style: Unpack[LineStyle],
+) -> ct.ControlPlot:
+    """Imaginary over real part of frequency responses, with the measurement as dots beneath the model.
+
+    Parameters
+    ----------
+    model : PEMResult, modal form, linear system, or control.FrequencyResponseData
+        Model of p outputs and m inputs, as in `frf_plot`; a measured response is drawn alone.
+    data, outputs, inputs, omega_limits, Hz, segments, intersample
+        As in `frf_plot`; frequencies are those of the curves.
+    negative_imaginary : bool, optional
+        Whether `-Im` points upwards, as is usual for impedances; by default where the unit of the response is the ohm.
+    time_unit, gain_unit
+        As in `frf_plot`.
+    ax : array of matplotlib.axes.Axes, optional
+        Axes to draw on, one for each response.  By default a new figure.
+    **style
+        As in `frf_plot`.
+
+    Returns
+    -------
+    control.ControlPlot
+        `lines` and `axes` with a panel for each response: curve, then dots; `figure`, `legend`.
+
+    Raises
+    ------
+    StructureError
+        As `frf_plot`.
+
+    Notes
+    -----
+    Only positive frequencies are drawn.  Both axes have one scale, so that a resistor beside a capacitor is half a
+    circle.  Where the frequencies span more than a decade, rings on the curve mark powers of ten.  Next to poles on the
+    imaginary axis the curve leaves the picture.
+
+    Examples
+    --------
+    >>> import control as ct, matplotlib.pyplot as plt, ph_control as phc
+    >>> cell = 0.01 + ct.tf([0.02], [0.1, 1.0])  # a resistor before another one beside a capacitor
+    >>> plot = phc.nyquist_plot(cell, gain_unit="ohm", time_unit="s")
+    >>> plot.axes[0, 0].get_xlabel(), plot.axes[0, 0].get_ylabel()
+    ('Re [ohm]', '−Im [ohm]')
+    >>> plt.close(plot.figure)
+    """
+    look = Look.of(style)
+    if data is None and table_in(model) is not None:
+        numbers, units = _table_alone(model, outputs, inputs, omega_limits, Hz, time_unit, gain_unit)
+    else:
+        numbers, units = frf_data(
+            model, data, outputs=outputs, inputs=inputs, omega_limits=omega_limits, Hz=Hz, segments=segments,
+            intersample=intersample, time_unit=time_unit, gain_unit=gain_unit,
+        )  # fmt: skip
+    scale = Scale(negative_imaginary=imaginary_is_turned(negative_imaginary, units))
+    cells = numbers.cells(1)[0]
+    with look.context():
+        drawn = panels(look, ax, len(cells), (6.0, 4.6) if len(cells) == 1 else (3.4, 3.2))
+        for k, (i, j) in enumerate(cells):
+            axis = drawn.axes.flat[k]
+            drawn.lines.flat[k] = _draw_curve(axis, numbers, i, j, look, scale)
+            axis.set(xlabel=scale.label("real", units[i], False), ylabel=scale.label("imaginary", units[i], False))
+            if len(cells) > 1:
+                axis.set_title(plain(numbers.name(i, j)), loc="left", fontsize="small")
+        if len(cells) == 1 and drawn.new:
+            _fit_height(drawn.figure, drawn.axes[0, 0])
+        title = numbers.title.replace("Frequency response", "Nyquist curve")
+        return drawn.finished(title, drawn.legend_of_all())
 
 
 # --- what may be drawn -----------------------------------------------------------------------------------------------
@@ -245,7 +327,9 @@ def _source_of_fractions(given: Any) -> ModelSource:
         return as_measured(given, found.T.reshape(*residues.shape[1:], -1) + D[:, :, None], omega)
 
     names = _names_of(given, "output", len(D)), _names_of(given, "input", len(D.T))
-    return ModelSource(response, _upper(poles), (len(D), len(D.T)), *names, f"fit ({counted(len(poles), 'mode')})")
+    modes, real = int(pairs.sum()), len(poles) - int(pairs.sum())
+    parts = [counted(modes, "mode")] * bool(modes or not real) + [counted(real, "real pole")] * bool(real)
+    return ModelSource(response, _upper(poles), (len(D), len(D.T)), *names, f"fit ({', '.join(parts)})")
 
 
 def _names_of(given: Any, kind: str, count: int) -> list[str]:
@@ -270,20 +354,7 @@ def _upper(poles: Any) -> ComplexArray:
     return np.asarray(poles[np.argsort(np.abs(poles), kind="stable")])
 
 
-@dataclass(frozen=True)
-class MeasuredMatrix:
-    """Measured responses (p, m, K) at `omega`, NaN where there is none; `doubtful` (p, K) ones are mostly noise."""
-
-    omega: Array
-    response: ComplexArray
-    doubtful: Mask
-    label: str
-    recorded: bool = False
-
-
-def measured_by(
-    model: Any, data: Any, source: ModelSource, segments: int, intersample: str | None
-) -> list[MeasuredMatrix]:
+def measured_by(model: Any, data: Any, source: ModelSource, segments: int, intersample: str | None) -> list[Curve]:
     """What was measured: responses as they are, one estimate of all recordings."""
     hold = getattr(model, "intersample", "zoh") if intersample is None else intersample
     _checks.choice("intersample", hold, INTERSAMPLE)
@@ -293,7 +364,7 @@ def measured_by(
         if (table := table_in(one)) is not None:
             _refuse_shape(table[1].shape[:2], source.shape)
             omega, values = table[0][table[0] > 0], table[1][:, :, table[0] > 0]
-            responses.append(MeasuredMatrix(omega, values, np.zeros(values.shape[::2], bool), "measured"))
+            responses.append(Curve("measured", omega, values, tabulated=True))
         else:
             u, y, step = recording_in(one)
             u = u if len(u) else np.zeros((source.shape[1], y.shape[1]))
@@ -308,7 +379,7 @@ def measured_by(
             found = found - _folded(source, omega, driven[0][2], hold)
         driven = driven if len(omega) else []
     if driven:
-        responses.append(MeasuredMatrix(omega, found, coherence < 0.5, "measured (spectral estimate)", recorded=True))
+        responses.append(Curve(ESTIMATED, omega, found, doubtful=coherence < 0.5, tabulated=True))
     elif recordings and data is not None:
         raise StructureError(
             "the recordings are free motions, or their inputs are constant, and show no frequency response; "
@@ -344,96 +415,12 @@ def _refuse_shape(found: tuple[int, ...], shape: tuple[int, int]) -> None:
 # --- numbers of the matrix -------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class FRFData:
-    """Responses to draw, shape (p, m, N) at `omega`, and the measured ones; phases turn from `cut` on, in degrees."""
-
-    omega: Array
-    response: ComplexArray
-    measured: list[MeasuredMatrix]
-    beside: list[ComplexArray]
-    outputs: Indices
-    output_labels: list[str]
-    input_labels: list[str]
-    low: float
-    high: float
-    logarithmic: bool
-    even: Mask
-    bounded: Mask
-    cut: float
-    unit: float
-    unit_name: str
-    label: str
-    title: str
-    bands: dict[tuple[int, int], tuple[Array, Array]]
-    band_label: str
-    gain_units: list[str] | list[None]
-
-    def cells(self, wide: int) -> tuple[list[tuple[int, int]], tuple[int, int]]:
-        """Responses in the order of their panels, and the shape of these: a single row or column is folded."""
-        p, m = self.response.shape[:2]
-        every = [(i, j) for i in range(p) for j in range(m)]
-        if min(p, m) > 1:
-            return every, (p, m)
-        columns = min(len(every), wide) if wide > 1 else m
-        # no row of a single panel where two rows of two hold them
-        columns = 2 if len(every) == 4 and wide > 1 else columns
-        return every, (-(-len(every) // columns), columns)
-
-    def phase(self, i: int, j: int) -> Array:
-        """Degrees from `cut` on, NaN where they jump by a turn."""
-        phase = degrees_from(self.cut, self.response[i, j])
-        return np.where(np.abs(np.diff(phase, prepend=phase[:1])) > 180.0, np.nan, phase)
-
-    def phase_band(self, i: int, j: int) -> Array:
-        """Ends of the band of phases beside the curve, shape (2, N)."""
-        phase = self.phase(i, j)
-        off = self.bands[i, j][1] - phase
-        low = np.mod(off[0] + 180.0, 360.0) - 180.0
-        return np.asarray(phase + np.stack([low, low + off[1] - off[0]]))
-
-    def measured_phase(self, k: int, i: int, j: int) -> Array:
-        """Degrees of measured responses, those within half a turn of the model, unless these leave the picture."""
-        model, values = self.beside[k][i, j], self.measured[k].response[i, j]
-        usable = np.isfinite(values) & (values != 0) & np.isfinite(model) & (model != 0)
-        ratio = np.where(usable, values, 1.0) * np.where(usable, model, 1.0).conj()
-        phase = degrees_from(self.cut, model) + np.degrees(np.angle(ratio))
-        phase = np.where(phase < self.cut - _BEYOND, phase + 360.0, phase)
-        return np.where(usable, np.where(phase > self.cut + 360.0 + _BEYOND, phase - 360.0, phase), np.nan)
-
-    @cached_property
-    def turn(self) -> tuple[float, float]:
-        """Ends of the phases of all panels, a little beyond whole quarters of a turn."""
-        p, m = self.response.shape[:2]
-        cells = [(i, j) for i in range(p) for j in range(m)]
-        phases = [self.phase(i, j) for i, j in cells]
-        phases += [self.measured_phase(k, i, j) for k in range(len(self.measured)) for i, j in cells]
-        every = np.concatenate(phases)
-        every = every[np.isfinite(every)] if np.isfinite(every).any() else np.zeros(1)
-        low, high = 90.0 * np.floor((every.min() + 15.0) / 90.0), 90.0 * np.ceil((every.max() - 15.0) / 90.0)
-        return float(min(low, high - 90.0)) - 20.0, float(high) + 20.0
-
-    def levels(self, i: int, j: int) -> tuple[float, float]:
-        """Decibels that a picture must hold: of the model all but the deepest antiresonances and infinite peaks."""
-        curve = decibels(self.response[i, j])
-        even, peaks = curve[self.even & np.isfinite(curve)], curve[self.bounded & np.isfinite(curve)]
-        kept = [np.quantile(even, [_DEEPEST, 1.0])] if len(even) else []
-        kept += [peaks.max(keepdims=True)] if len(peaks) else []
-        for one in self.measured:
-            size = decibels(one.response[i, j])[(one.omega >= self.low) & (one.omega <= self.high)]
-            size = size[np.isfinite(size)]
-            kept += [np.quantile(size, [0.005, 1.0])] if len(size) else []
-        ends = np.concatenate(kept) if kept else np.zeros(1)
-        margin = 3.0 + 0.05 * float(np.ptp(ends))
-        return float(ends.min()) - margin, float(ends.max()) + margin
-
-
 def frf_data(
     model: Any, data: Any = None, *, outputs: Any = None, inputs: Any = None, omega_limits: Any = None,
     Hz: bool | None = None, segments: int = 8, intersample: str | None = None, confidence: bool = False,
-    level: float = 0.95, time_unit: str | None = None,
-) -> FRFData:  # fmt: skip
-    """Compute what `frf_plot` draws, of its arguments."""
+    level: float = 0.95, time_unit: str | None = None, gain_unit: Any = None, scale: str | None = None,
+) -> tuple[DrawnResponses, list[str | None]]:  # fmt: skip
+    """Compute what `frf_plot` draws, of its arguments, and the unit of each output drawn."""
     _checks.flags(confidence=confidence)
     _checks.level("level", level)
     source = model_source(model)
@@ -447,62 +434,62 @@ def frf_data(
         )
     )
     low, high = _limits(source, measured, omega_limits, unit)
-    d = np.abs(source.poles)
-    inside = d[(d >= low) & (d <= high)]
-    logarithmic = len(inside) > 0 and bool(inside[-1] > _DECADES * inside[0])
+    modes = np.abs(source.poles[source.poles.imag > 0])
+    grid = measured[0].omega if measured else None
+    logarithmic = is_logarithmic(scale, low, high, grid, modes)
+    axis = FrequencyAxis(low if low > 0 else _FLOOR * high * logarithmic, high, unit, unit_name, logarithmic)
     chosen = np.ix_(rows, columns)
 
     def response(omega: Array) -> ComplexArray:
         return np.asarray(source.response(omega)[chosen])
 
-    grid, even, bounded = _grid(source, low, high, logarithmic, response)
-    values = response(grid)
-    measured = [MeasuredMatrix(a.omega, a.response[chosen], a.doubtful[rows], a.label, a.recorded) for a in measured]
+    omega, sharp = _grid(source, axis, response)
+    bands = _bands(model, omega, level, rows, columns) if confidence else {}
+    curve = Curve(source.label, omega, response(omega), sharp, bands=bands)
+    measured = [
+        replace(one, response=one.response[chosen], doubtful=None if one.doubtful is None else one.doubtful[rows])
+        for one in measured
+    ]
     parts = [
         text for text in (_share("outputs", rows, source.shape[0]), _share("inputs", columns, source.shape[1])) if text
     ]
-    names = [source.input_labels[k] for k in columns], [source.output_labels[k] for k in rows]
-    title = (
-        "Frequency responses, magnitude above phase" if values.shape[:2] != (1, 1)
-        else f"Frequency response, {_named(names[0][0], names[1][0], False)}"
-    )  # fmt: skip
-    return FRFData(
-        grid, values, measured, [response(one.omega) for one in measured], rows,
-        names[1], names[0], low, high,
-        logarithmic, even, bounded, _phase_cut(values[:, :, even]), unit, unit_name, source.label,
-        title + (f" ({', '.join(parts)})" if parts else ""),
-        _bands(model, grid, level, rows, columns) if confidence else {}, f"{100 * level:g} % band",
-        _told_units([source, *measurements_of(model, data)], source.shape, rows, columns),
-    )  # fmt: skip
+    names = [source.output_labels[k] for k in rows], [source.input_labels[k] for k in columns]
+    responses = DrawnResponses([curve], measured, axis, *names)
+    title = "Frequency responses"
+    if curve.response.size == len(omega):
+        title = f"Frequency response, {responses.name(0, 0)}"
+    units = gain_units(gain_unit, [source, *measurements_of(model, data)], source.shape, rows, columns)
+    return replace(responses, title=title + (f" ({', '.join(parts)})" if parts else "")), units
 
 
-def _told_units(
-    sources: Sequence[Any], shape: tuple[int, int], rows: Indices, columns: Indices
-) -> list[str] | list[None]:
-    """Unit of the responses of each output, of the first of model and measurements whose names tell those of all."""
+def gain_units(
+    given: Any, sources: Sequence[Any], shape: tuple[int, int], rows: Indices, columns: Indices
+) -> list[str | None]:
+    """Unit of the responses of each output: as given, or as the names of the first of model and measurements tell."""
+    if given is not None:
+        return [given] * len(rows) if isinstance(given, str) else [*_checks.labels(given, len(rows), "outputs")]
     for one in sources:
         outputs, inputs = (getattr(one, name, None) or () for name in ("output_labels", "input_labels"))
         if (len(outputs), len(inputs)) == shape:
             told = told_gain_units([outputs[i] for i in rows], [inputs[j] for j in columns])
             if None not in told:
-                return told
+                return list(told)
     return [None] * len(rows)
 
 
 def _bands(
     model: Any, omega: Array, level: float, rows: Indices, columns: Indices
-) -> dict[tuple[int, int], tuple[Array, Array]]:
-    """Ends of the decibels and degrees of models drawn around a result, shapes (2, N), of each response drawn."""
+) -> dict[tuple[int, int], ResponseBand]:
+    """Bands of models drawn around a result, of each response drawn."""
     if not hasattr(model, "sample"):
         raise StructureError(
             f"confidence is True, but a {type(model).__name__} is not the result of a fit; leave it out"
         )
-    models, found = model.sample(_DRAWS, 0), {}
-    for i, row in enumerate(rows):
-        for j, column in enumerate(columns):
-            band = band_of(models, omega, level, output=int(row), input=int(column))
-            found[i, j] = band.magnitude, band.phase
-    return found
+    models = model.sample(_DRAWS, 0)
+    return {
+        (i, j): band_of(models, omega, level, output=int(row), input=int(column))
+        for i, row in enumerate(rows) for j, column in enumerate(columns)
+    }  # fmt: skip
 
 
 def chosen_channels(what: str, given: Any, names: Sequence[str], most: int | None = None) -> Indices:
@@ -533,34 +520,38 @@ def _share(what: str, chosen: Indices, count: int) -> str:
     return f"{len(chosen)} of {count} {what}"
 
 
-def _limits(source: ModelSource, measured: list[MeasuredMatrix], given: Any, unit: float) -> tuple[float, float]:
-    """Ends of the axis: those given, those of tables, or of the modes as far as recordings reach."""
+def _limits(source: ModelSource, measured: list[Curve], given: Any, unit: float) -> tuple[float, float]:
+    """Ends of the axis: those given, those of tables, or of the poles as far as recordings reach."""
     if given is not None:
         low, high = checked_limits(given)
         return low * unit, high * unit
-    tables = [one.omega for one in measured if not one.recorded and len(one.omega)]
+    tables = [one.omega for one in measured if one.label != ESTIMATED and len(one.omega)]
     d = np.abs(source.poles) if len(source.poles) else np.ones(1)
     low, high = 0.5 * d[0], (1.25 if d[-1] <= _DECADES * d[0] else 2.0) * d[-1]
+    if not np.any(source.poles.imag):  # corners are seen from a decade below to a decade above
+        low, high = 0.1 * d[0], 10.0 * d[-1]
     recorded = [one.omega for one in measured if len(one.omega)]
     if tables:
         low, high = min(one[0] for one in tables), max(one[-1] for one in tables)
     elif recorded:
-        low, high = max(low, min(one[0] for one in recorded)), min(high, max(one[-1] for one in recorded))
+        first = min(one[0] for one in recorded)
+        # below what was measured a lag is seen to be level
+        low, high = (
+            max(low, first if np.any(source.poles.imag) else 0.2 * first),
+            min(high, max(one[-1] for one in recorded)),
+        )
     high = min(high, source.nyquist)
     return (float(low), float(high)) if low < high else (0.5 * float(high), float(high))
 
 
-def _grid(
-    source: ModelSource, low: float, high: float, logarithmic: bool, response: Callable[[Array], ComplexArray]
-) -> tuple[Array, Mask, Mask]:
-    """Frequencies of the curves, which of them lie evenly, and which off peaks that are infinite or nearly so."""
-    top = min(high, source.nyquist)
-    floor = low if low > 0 else 1e-3 * high
-    even = np.geomspace(floor, top, _LINE) if logarithmic else np.linspace(floor, top, _LINE)
+def _grid(source: ModelSource, axis: FrequencyAxis, response: Callable[[Array], ComplexArray]) -> tuple[Array, Array]:
+    """Frequencies of the curve, and those of peaks that are infinite or nearly so."""
+    top = min(axis.high, source.nyquist)
+    floor = axis.low if axis.low > 0 else _FLOOR * axis.high
     p = source.poles[source.poles.imag > 0]
     width = np.maximum(np.abs(p.real), NARROWEST * np.abs(p))
     around = (p.imag[:, None] + width[:, None] * _TURN).ravel()
-    grid = np.unique(np.concatenate([even, around[(around >= floor) & (around <= top)]]))
+    grid = np.unique(np.concatenate([axis.places(floor, top, _LINE), around[(around >= floor) & (around <= top)]]))
     # antiresonances, which have no pole to tell where they are
     size = np.abs(response(grid)).reshape(-1, len(grid))
     k = np.unique(np.nonzero((size[:, 1:-1] < size[:, :-2]) & (size[:, 1:-1] < size[:, 2:]))[1] + 1)
@@ -568,78 +559,83 @@ def _grid(
     notches = [grid[k + s] + share[:, None] * (grid[k + s + 1] - grid[k + s]) for s in (-1, 0)]
     # a sample on a pole of the axis is infinite
     grid = np.setdiff1d(np.concatenate([grid, *(one.ravel() for one in notches)]), p.imag[p.real == 0])
-    sharp = p.imag[width <= NARROWEST * np.abs(p)]
-    near = np.zeros(len(grid), bool)
-    for w in sharp:
-        near |= np.abs(grid - w) < 0.01 * w
-    return grid, np.isin(grid, even) & ~near, ~near
+    return grid, np.unique(p.imag[width <= NARROWEST * np.abs(p)])
 
 
-def _phase_cut(response: ComplexArray) -> float:
-    """Where the turn of the phases begins, in degrees: where the curves have the fewest, of about equals at -180."""
-    usable = np.isfinite(response) & (response != 0)
-    angle = np.degrees(np.angle(response[usable]))
-    if not len(angle):
-        return -180.0
-    near = [np.count_nonzero(np.abs(np.mod(angle - cut + 180.0, 360.0) - 180.0) < 30.0) for cut in _CUTS]
-    fewest = min(near)
-    allowed = [cut for cut, count in zip(_CUTS, near, strict=True) if count <= fewest + 0.01 * len(angle)]
-    return float(min(allowed, key=lambda cut: abs(cut + 180.0)))
+# --- Nyquist curves -----------------------------------------------------------------------------------------------
 
 
-def _gain_units(given: Any, numbers: FRFData) -> dict[int, str | None]:
-    """Unit of the responses of each output, by its number."""
-    if given is None:
-        return dict(zip(map(int, numbers.outputs), numbers.gain_units, strict=True))
-    if isinstance(given, str):
-        return dict.fromkeys(map(int, numbers.outputs), given)
-    units = _checks.labels(given, len(numbers.outputs), "outputs")
-    return dict(zip(map(int, numbers.outputs), units, strict=True))
+def _table_alone(
+    table: Any, outputs: Any, inputs: Any, limits: Any, Hz: bool | None, time_unit: str | None, gain_unit: Any
+) -> tuple[DrawnResponses, list[str | None]]:
+    """A measured response without a model."""
+    omega, values = table_in(table) or (np.zeros(0), np.zeros((0, 0, 0), complex))
+    unit, unit_name = frequency_axis(Hz, unit_for(time_unit, table))
+    low, high = (omega[0], omega[-1]) if limits is None else np.multiply(checked_limits(limits), unit)
+    names = [
+        list(getattr(table, f"{kind}_labels", None) or [f"{letter}[{k}]" for k in range(count)])
+        for kind, letter, count in zip(("output", "input"), "yu", values.shape, strict=False)
+    ]
+    rows, columns = (
+        chosen_channels(what, given, some)
+        for what, given, some in zip(("outputs", "inputs"), (outputs, inputs), names, strict=True)
+    )
+    measured = Curve("measured", omega, values[np.ix_(rows, columns)], tabulated=True)
+    chosen = [names[0][k] for k in rows], [names[1][k] for k in columns]
+    responses = DrawnResponses([], [measured], FrequencyAxis(float(low), float(high), unit, unit_name), *chosen)
+    title = f"Nyquist curve, {responses.name(0, 0)}" if len(rows) == len(columns) == 1 else "Nyquist curves"
+    title = title.replace(", u[0] to y[0]", "")
+    units = gain_units(gain_unit, [table], values.shape[:2], rows, columns)
+    return DrawnResponses([], [measured], responses.axis, *chosen, title), units
 
 
-def _named(source: str, sensor: str, single: bool) -> str:
-    """What a panel is called: without units, and without the only input where the name would not fit."""
-    source, sensor = (parted(one)[0] for one in (source, sensor))
-    name = f"{source} to {sensor}"
-    name = sensor if single and len(name) > _LETTERS else name
-    return name if len(name) <= _LETTERS else name[: _LETTERS - 1] + "…"
-
-
-# --- drawing ---------------------------------------------------------------------------------------------------------
-
-
-def _draw_response(pair: Any, numbers: FRFData, i: int, j: int, look: Look) -> list[list[Any]]:
-    """Magnitude and phase of one response, and their scales; lines of both."""
-    gain, angle = pair
-    lines: list[list[Any]] = [[], []]
-    frequency = numbers.omega / numbers.unit
-    curve = {"label": plain(numbers.label), **MODEL_LINE, **look.line}
-    for row, values in enumerate((decibels(numbers.response[i, j]), numbers.phase(i, j))):
-        lines[row] += pair[row].plot(frequency, values, **curve)
-    if numbers.bands:
-        for axis, ends in zip(pair, (numbers.bands[i, j][0], numbers.phase_band(i, j)), strict=True):
-            axis.fill_between(frequency, *ends, label=numbers.band_label, color=lines[0][0].get_color(), **BAND)
-    for k, one in enumerate(numbers.measured):
-        seen = (one.omega >= numbers.low) & (one.omega <= numbers.high) & np.isfinite(one.response[i, j])
-        for row, values in enumerate((decibels(one.response[i, j]), numbers.measured_phase(k, i, j))):
-            for which, style, label in (
-                (seen & ~one.doubtful[i], DOTS, one.label), (seen & one.doubtful[i], _PALE, "coherence below 0.5")
-            ):  # fmt: skip
-                if which.any():
-                    once = label if k == 0 or label != numbers.measured[0].label else "_"
-                    at = one.omega[which] / numbers.unit
-                    lines[row] += pair[row].plot(at, values[which], label=plain(once), rasterized=True, **style)
-    gain.set_ylim(*numbers.levels(i, j))
-    gain.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 4, 5, 10]))
-    angle.set_ylim(*numbers.turn)
-    quarters = numbers.response.shape[:2] == (1, 1) and numbers.turn[1] - numbers.turn[0] < 405.0
-    angle.yaxis.set_major_locator(MultipleLocator(90.0 if quarters else 180.0))
-    angle.yaxis.set_minor_locator(MultipleLocator(90.0))
-    for axis in pair:
-        axis.set_xscale("log" if numbers.logarithmic else "linear")
-        axis.set_xlim(numbers.omega[0] / numbers.unit, numbers.high / numbers.unit)
-        look.lattice(axis, minor="both" if numbers.logarithmic else "y")
-    if numbers.response.shape[:2] != (1, 1):
-        name = _named(numbers.input_labels[j], numbers.output_labels[i], numbers.response.shape[1] == 1)
-        gain.set_title(plain(name), loc="left", fontsize="small", pad=2.0)
+def _draw_curve(axis: Axes, numbers: DrawnResponses, i: int, j: int, look: Look, scale: Scale) -> list[Any]:
+    """Curve of an entry, dots, and rings at powers of ten of the frequency; lines of the first two."""
+    (real, imaginary), (real_dots, imaginary_dots) = zip(
+        *(numbers.values(part, i, j, scale) for part in ("real", "imaginary")), strict=True
+    )
+    lines: list[Any] = []
+    axis.axhline(0.0, **ZERO)
+    axis.axvline(0.0, **ZERO)
+    for k, (curve, x, y) in enumerate(zip(numbers.curves, real, imaginary, strict=True)):
+        seen = curve.visible(numbers.axis)
+        x, y = np.where(seen, x, np.nan), np.where(seen, y, np.nan)
+        lines += axis.plot(x, y, label=plain(curve.label), **look.curve(k))
+        _mark_decades(axis, numbers.axis, curve.omega, x, y, lines[-1].get_color())
+    for one, x, y in zip(numbers.measured, real_dots, imaginary_dots, strict=True):
+        seen = (one.omega >= numbers.axis.low) & (one.omega <= numbers.axis.high) & ~one.noisy(i)
+        lines += axis.plot(x[seen], y[seen], label=plain(one.label), rasterized=True, **{**DOTS, "markersize": 5.0})
+        if not numbers.curves:
+            _mark_decades(axis, numbers.axis, one.omega, x, y, lines[-1].get_color())
+    axis.set_aspect("equal", adjustable="datalim")
+    axis.margins(0.1)
+    look.lattice(axis)
     return lines
+
+
+def _fit_height(figure: Figure, axis: Axes) -> None:
+    """Make a figure as high as what it shows."""
+    width, _ = figure.get_size_inches()
+    share = axis.dataLim.height / (axis.dataLim.width or 1.0)
+    figure.set_size_inches(width, float(np.clip(1.5 + (width - 1.0) * 1.2 * share, *_HEIGHTS)))
+
+
+def _mark_decades(axis: Axes, frequency: FrequencyAxis, omega: Array, x: Array, y: Array, colour: str) -> None:
+    low, high = max(frequency.low, omega[0]) / frequency.unit, min(frequency.high, omega[-1]) / frequency.unit
+    if not low > 0:
+        return
+    powers = 10.0 ** np.arange(np.ceil(np.log10(low)), np.floor(np.log10(high)) + 1)
+    if not 2 <= len(powers) <= _MARKED:
+        return
+    place = [np.interp(np.log(powers * frequency.unit), np.log(omega), values) for values in (x, y)]
+    axis.plot(*place, color=colour, label="_", **_MARK)
+    # where rings crowd, as at both ends of a curve, only the first of them is named
+    reach = max(np.nanmax(x) - np.nanmin(x), np.nanmax(y) - np.nanmin(y)) or 1.0
+    last = None
+    for power, at, height in zip(powers, *place, strict=True):
+        if np.isfinite(at + height) and (last is None or np.hypot(at - last[0], height - last[1]) > 0.1 * reach):
+            last = (at, height)
+            axis.annotate(
+                f"{power:g} {frequency.unit_name}", last, (5, 5), textcoords="offset points", fontsize="x-small",
+                color="0.35",
+            )  # fmt: skip

@@ -17,7 +17,7 @@ from ..exceptions import StructureError
 from ..modal.general_form import GeneralModalForm
 from ..modal.modal_form import ModalForm
 from ..systems.base import in_normal_form
-from ..systems.port_hamiltonian import PortHamiltonian, ph
+from ..systems.port_hamiltonian import ph
 
 _DRAWS = 300  # models of a band: seeds move its ends by 0.9 % of probability
 _UNNAMED = re.compile(r"sys\[\d+\]")  # what python-control calls a system without a name
@@ -125,11 +125,9 @@ def _inside(given: Any) -> Any:
 def _names(given: list[Any], systems: list[Any]) -> list[str]:
     """Names of systems, all different; a fit is called one, unless its system was named."""
     names = [
-        f"fit ({counted(one.order, 'mode')})" if is_fit(one) and sys._generic_name_check() else _base_name(sys)
+        given_name(sys) or (f"fit ({counted(one.order, 'mode')})" if is_fit(one) else _kind(sys))
         for one, sys in zip(given, systems, strict=True)
     ]
-    if len(names) == 1 and isinstance(systems[0], PortHamiltonian) and _is_unnamed(systems[0]):
-        return ["model"]
     # a system has the name of what it was sampled, reduced or drawn from
     names = [
         f"{name} (dt = {sys.dt})" if names.count(name) > 1 and sys.isdtime(strict=True) else name
@@ -143,18 +141,19 @@ def _names(given: list[Any], systems: list[Any]) -> list[str]:
     return [f"{name} #{names[: k + 1].count(name)}" if names.count(name) > 1 else name for k, name in enumerate(names)]
 
 
+def _kind(sys: Any) -> str:
+    return "response" if isinstance(sys, ct.FrequencyResponseData) else "model"
+
+
 def _differs(name: str, names: list[str], sizes: list[int | None]) -> bool:
     """Whether systems of this name are of different sizes."""
     return len({size for other, size in zip(names, sizes, strict=True) if other == name}) > 1
 
 
-def _base_name(sys: Any) -> str:
-    """Name of a system without what python-control adds to it, as in `plant$sampled` or `plant$indexed`."""
-    return re.sub(r"(?<=.)(\$[a-z]+)+$", "", str(sys.name))
-
-
-def _is_unnamed(sys: Any) -> bool:
-    return _UNNAMED.fullmatch(_base_name(sys)) is not None
+def given_name(sys: Any) -> str | None:
+    """Name that a system was given, without what python-control adds to it, as in `plant$sampled`; None without one."""
+    name = re.sub(r"(?<=.)(\$[a-z]+)+$", "", str(sys.name))
+    return None if _UNNAMED.fullmatch(name) else name
 
 
 def timebase(sys: Any) -> float:
@@ -164,10 +163,10 @@ def timebase(sys: Any) -> float:
 
 def title_of(kind: str, subjects: list[Subject], relabelled: bool) -> str:
     """Title of a picture, with the names of its systems where they are few and have some."""
-    systems = [one.system for one in subjects]
-    named = [_base_name(sys) for sys in systems if not (relabelled or _is_unnamed(sys))]
+    names = [] if relabelled else [given_name(one.system) for one in subjects]
+    named = [name for name in names if name]
     title = f"{kind} of " + ", ".join(dict.fromkeys(named))
-    return title if 0 < len(named) == len(systems) <= 3 and len(title) <= _TITLE else kind
+    return title if 0 < len(named) == len(subjects) <= 3 and len(title) <= _TITLE else kind
 
 
 def models_around(confidence: Any, subjects: list[Subject], *bands: str) -> list[Any]:

@@ -21,12 +21,12 @@ from ..numerics.mode_shapes import aligned_shapes, mac, phase_collinearity
 from .frf_plot import (
     MODEL_LINE,
     NARROWEST,
-    MeasuredMatrix,
     ModelSource,
     chosen_channels,
     measured_by,
     model_source,
 )
+from .response_picture import Curve
 from .style import (
     DOTS,
     ZERO,
@@ -51,6 +51,8 @@ _NAMED = 12  # sensors that an axis has room to name
 _POWERS = {"velocity": 1, "acceleration": 2}  # of the pole in the residues of an output, beside a displacement
 _BUBBLE = 220.0  # area of the largest entry of a shape, in points squared
 _VIEW = np.radians([-60.0, 25.0])  # azimuth and elevation from which positions in space are seen
+_DISPLACED = 1 / 7  # largest displacement of a wire frame, of its size
+_AT_NODE = 1e-6  # of that size within which a sensor is at a node
 _CIRCLE = 4.0  # half widths of a resonance of which its circle is drawn
 
 
@@ -58,6 +60,9 @@ def shape_plot(
     shapes: Any,
     positions: ArrayLike | None = None,
     *,
+    directions: str | Sequence[Any] | None = None,
+    nodes: ArrayLike | None = None,
+    lines: ArrayLike | None = None,
     modes: Sequence[int] | None = None,
     poles: ArrayLike | None = None,
     level: float = 0.95,
@@ -76,6 +81,12 @@ def shape_plot(
         Mode shapes, or what has them; a result is drawn with intervals.
     positions : array_like, shape (p,), (p, 2) or (p, 3), optional
         Where the sensors are, along a line, in a plane or in space; by default their numbers.
+    directions : {'x', 'y', 'z', '-x', '-y', '-z'}, or sequence of p of these or of vectors, optional
+        Which way each sensor points, with positions in a plane or in space: the structure is drawn as it moves.
+    nodes : array_like, shape (k, 2) or (k, 3), optional
+        Points of the wire frame, among them those with a sensor; by default the positions, each once.
+    lines : array_like of int, shape (l, 2), optional
+        Pairs of nodes, counted from 0, that the wire frame joins.
     modes : sequence of int, optional
         Which, counted from 0 by natural frequency; by default all, at most the first twelve.
     poles : array_like, shape (n,), optional
@@ -99,7 +110,8 @@ def shape_plot(
     Raises
     ------
     StructureError
-        If there are no shapes, positions or poles are not as many, or there is no such mode.
+        If there are no shapes, positions or poles are not as many, there is no such mode, or the wire frame is not of
+        this form.
 
     Notes
     -----
@@ -112,7 +124,10 @@ def shape_plot(
     force moves the sensor as much as one at the sensor moves that place; there are no intervals.
 
     In a plane or in space the area of each mark is that of the entry squared, filled where it is positive and hollow
-    where it is negative; there are no intervals.
+    where it is negative; there are no intervals.  With `directions` or `lines` the structure is drawn at rest and, over
+    it, displaced by the shape, the largest displacement a seventh of its size.  A node without a sensor does not move.
+    Sensors in a plane without directions move across it.  Of floors that move as a whole, and other nodes that follow
+    sensors, pass the shapes of all nodes: `shapes @ T` for displacements `T` (p, k) of the nodes per output.
 
     Examples
     --------
@@ -131,8 +146,9 @@ def shape_plot(
     places = _places(positions, table.shapes.shape[1])
     look = Look.of(style)
     flat = places.shape[1] == 1
+    frame = None if directions is nodes is lines is None else wire_frame(places, directions, nodes, lines)
     with look.context():
-        drawn = panels(look, ax, len(chosen), (3.1, 2.3 if flat else 2.7))
+        drawn = panels(look, ax, len(chosen), (3.1, 2.3 if flat else 2.7 if frame is None else 3.3))
         for k, l in enumerate(chosen):
             axis = drawn.axes.flat[k]
             if flat:
@@ -145,6 +161,10 @@ def shape_plot(
                 axis.set_ylabel(labelled("Mode shape", shape_unit))
                 if positions is None:
                     _name_sensors(axis, table.labels)
+            elif frame is not None:
+                drawn.lines.flat[k] = _draw_frame(axis, frame, table.shapes[l].real, look)
+                if frame.nodes.shape[1] == 2:
+                    axis.set(xlabel=labelled("x", position_unit), ylabel=labelled("y", position_unit))
             else:
                 drawn.lines.flat[k] = _draw_in_plane(axis, places, table.shapes[l].real, look)
                 if places.shape[1] == 2:
@@ -412,6 +432,92 @@ def _share_of(chosen: Indices, count: int) -> str:
     return "" if len(chosen) == count else f" ({len(chosen)} of {count})"
 
 
+# --- wire frames -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class WireFrame:
+    """Nodes (k, 2) or (k, 3), pairs (l, 2) of them, and their displacements (k, 2 or 3, p) per unit of each sensor."""
+
+    nodes: Array
+    lines: Indices
+    motion: Array
+
+    @property
+    def measured(self) -> Indices:
+        """Nodes with a sensor."""
+        return np.flatnonzero(np.any(self.motion, axis=(1, 2)))
+
+    def displaced(self, shape: Array) -> Array:
+        """Nodes where a shape takes them, the largest displacement a seventh of the size."""
+        moved = self.motion @ shape
+        largest = float(np.linalg.norm(moved, axis=1).max(initial=0.0))
+        size = float(np.ptp(self.nodes, axis=0).max()) or 1.0
+        return np.asarray(self.nodes + moved * (_DISPLACED * size / largest if largest else 0.0))
+
+
+def wire_frame(places: Array, directions: Any, nodes: Any, lines: Any) -> WireFrame:
+    """Wire frame of sensors at `places` (p, 2) or (p, 3)."""
+    if places.shape[1] == 1:
+        raise StructureError(
+            "a wire frame needs positions in a plane or in space, of shape (sensors, 2) or (sensors, 3)"
+        )
+    # each once, in the order of the sensors
+    first = np.sort(np.unique(places, axis=0, return_index=True)[1])
+    points = places[first] if nodes is None else _checks.real_array("nodes", nodes, 2)
+    if points.shape[1] != places.shape[1] or not len(points):
+        raise StructureError(f"nodes have shape {points.shape}; with these positions they have (k, {places.shape[1]})")
+    pairs = _checked_lines(lines, len(points))
+    if places.shape[1] == 2 and directions is None:  # across the plane
+        places, points = (np.column_stack([one, np.zeros(len(one))]) for one in (places, points))
+        directions = "z"
+    ways = _checked_directions(directions, *places.shape)
+    far = np.linalg.norm(places[:, None] - points, axis=2)
+    at, size = far.argmin(axis=1), float(np.ptp(points, axis=0).max())
+    lost = np.flatnonzero(far.min(axis=1) > _AT_NODE * size)
+    if len(lost):
+        raise StructureError(
+            f"sensor {lost[0]}, counted from 0, at {places[lost[0]].tolist()} is at no node; the nearest is "
+            f"{points[at[lost[0]]].tolist()}"
+        )
+    motion = np.zeros((*points.shape, len(places)))
+    for node in np.unique(at):
+        sensors = np.flatnonzero(at == node)
+        # directions need not be orthogonal
+        motion[node][:, sensors] = np.linalg.pinv(ways[sensors])
+    return WireFrame(points, pairs, motion)
+
+
+def _checked_lines(lines: Any, count: int) -> Indices:
+    if lines is None:
+        return np.zeros((0, 2), np.intp)
+    found = _checks.real_array("lines", lines, 2)
+    if found.shape[1] != 2 or (found != np.round(found)).any() or (found < 0).any() or (found >= count).any():
+        raise StructureError(f"lines are {_checks.shown(found)}; give pairs of nodes, from 0 to {count - 1}")
+    return found.astype(np.intp)
+
+
+def _checked_directions(given: Any, sensors: int, dimensions: int) -> Array:
+    """Unit vectors (p, d) of the sensors."""
+    if given is None:
+        raise StructureError("positions are in space; say with directions, such as 'x', which way the sensors point")
+    listed = [given] * sensors if isinstance(given, str) else list(given)
+    known = {sign + name: factor * row for name, row in zip("xyz"[:dimensions], np.eye(dimensions), strict=True)
+             for sign, factor in (("", 1.0), ("+", 1.0), ("-", -1.0))}  # fmt: skip
+    if len(listed) != sensors:
+        raise StructureError(f"there are {len(listed)} directions for {sensors} sensors; give one for each")
+    ways = np.zeros((sensors, dimensions))
+    for k, way in enumerate(listed):
+        if isinstance(way, str):
+            ways[k] = known[_checks.choice("directions", way, tuple(known))]
+            continue
+        vector = _checks.real_array(f"direction {k}", way, 1)
+        if len(vector) != dimensions or not np.any(vector):
+            raise StructureError(f"direction {k} is {_checks.shown(way)}; give {dimensions} numbers, not all 0")
+        ways[k] = vector / np.linalg.norm(vector)
+    return ways
+
+
 # --- numbers of a circle ---------------------------------------------------------------------------------------------
 
 
@@ -429,7 +535,7 @@ class ModeCircle:
     input_label: str
 
 
-def mode_circle(source: ModelSource, measured: list[MeasuredMatrix], mode: int, output: Any, input: Any) -> ModeCircle:
+def mode_circle(source: ModelSource, measured: list[Curve], mode: int, output: Any, input: Any) -> ModeCircle:
     """Numbers of one panel of `circle_plot`."""
     p = source.poles[mode]
     d, width = float(abs(p)), float(abs(p.real))
@@ -528,6 +634,28 @@ def _draw_in_plane(axis: Axes, places: Array, shape: Array, look: Look) -> list[
         axis.set_yticklabels([])
         _draw_directions(axis)
     return marks
+
+
+def _draw_frame(axis: Axes, frame: WireFrame, shape: Array, look: Look) -> list[Any]:
+    """The structure at rest and displaced, with a mark at each sensor; lines of both."""
+    flat = frame.nodes.shape[1] == 2
+    drawn: list[Any] = []
+    curve = {**MODEL_LINE, "linewidth": 1.4, **look.line}
+    rest: dict[str, Any] = {"color": "0.7", "linewidth": 0.9, "zorder": 2}
+    for nodes, name, style in ((frame.nodes, "at rest", rest), (frame.displaced(shape), "mode shape", curve)):
+        x, y = nodes.T if flat else _seen(nodes)
+        ends = np.pad(np.stack([x, y])[:, frame.lines], ((0, 0), (0, 0), (0, 1)), constant_values=np.nan)
+        drawn += axis.plot(*ends.reshape(2, -1), label=name, **style)
+        dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 3.5}
+        axis.plot(x[frame.measured], y[frame.measured], label="_", **{**style, **dots})
+    axis.set_aspect("equal", adjustable="datalim")
+    axis.margins(0.08)
+    if flat:
+        look.lattice(axis)
+    else:
+        axis.set(xticks=[], yticks=[])
+        _draw_directions(axis)
+    return drawn
 
 
 def _seen(points: Array) -> tuple[Array, Array]:

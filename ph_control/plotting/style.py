@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -33,6 +34,7 @@ DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "
 
 _DRAWN = 6000  # samples beyond which a line is drawn by the extremes of its bins: the same picture, drawn faster
 _PER_INCH = 12.5  # letters of a legend, with some room between its columns
+_OHM = re.compile(r"[munµμkM]?(ohm|Ω|\u2126)|V/A$", re.IGNORECASE)
 _MINOR = 0.35  # opacity of the grid lines between the main ones
 
 
@@ -254,6 +256,14 @@ def told_gain_unit(*sources: Any) -> str | None:
         if len(told) == 1 and None not in told:
             return told.pop()
     return None
+
+
+def imaginary_is_turned(given: bool | None, units: Sequence[str | None]) -> bool:
+    """Whether imaginary parts are drawn with their sign changed: as asked for, else those of impedances."""
+    if given is not None:
+        _checks.flags(negative_imaginary=given)
+        return bool(given)
+    return any(_OHM.match(unit) is not None for unit in units if unit)
 
 
 def frequency_axis(Hz: bool | None, time_unit: str | None) -> tuple[float, str]:

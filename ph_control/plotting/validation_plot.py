@@ -5,15 +5,14 @@ Each function returns a `control.ControlPlot`, and draws on given axes or a new 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator, MultipleLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 from scipy.special import ndtri
@@ -24,9 +23,9 @@ from .._types import Array, ComplexArray, Indices, Mask
 from .._units import unit_for
 from ..exceptions import StructureError
 from ..numerics.mode_shapes import stable_poles
-from .bode_data import decibels, degrees_from
 from .fit_plot import Outputs, draw_outputs, line_of_model
 from .inputs import measurements_of, recording_in, table_in
+from .response_picture import Curve, DrawnResponses, FrequencyAxis, Scale, decibels, draw_part, is_logarithmic
 from .style import (
     BAND,
     DOTS,
@@ -35,6 +34,7 @@ from .style import (
     ZERO,
     FrameStyle,
     Look,
+    PlainLogFormatter,
     checked_limits,
     frequency_axis,
     gain_label,
@@ -51,9 +51,12 @@ if TYPE_CHECKING:
 _POINTS: dict[str, Any] = {"linewidth": 0.8, "marker": ".", "markersize": 4.0, "zorder": 3}
 _INSIDE, _OUTSIDE = "0.25", "C3"
 _CRITERIA = {"AIC": ("C0", "s", "-"), "AICc": ("C2", "^", "--"), "BIC": ("C3", "o", "-"), "hold-out": ("C4", "D", ":")}
+_FEW = 150  # points
 _CHANNELS = 12  # of one picture
 _SEGMENTS = 8  # of which output spectra are averaged
 _LAGS, _CONFIDENCE = 25, 0.99  # of the correlations of channels
+_BESIDE = 0.75  # of the lowest mode of the chosen order, and of the highest its inverse, that are seen as well
+_AROUND = 10**0.25  # of the modes on a logarithmic axis
 _FLAT = 10.0  # differences of a criterion below this are drawn to a linear scale
 
 # --- models beside a frequency response ------------------------------------------------------------------------------
@@ -68,6 +71,7 @@ def response_comparison_plot(
     time_unit: str | None = None,
     Hz: bool = False,
     gain_unit: str | None = None,
+    scale: str | None = None,
     heading: str,
     ax: Any = None,
     **style: Unpack[FrameStyle],
@@ -78,34 +82,43 @@ def response_comparison_plot(
     """
     look = Look.of(style, FrameStyle)
     unit, unit_name = frequency_axis(Hz, time_unit)
-    frequency, cut = omega / unit, _phase_cut(measured)
+    responses = _compared(omega, measured[None], predicted[:, None], labels, scale, (unit, unit_name))
+    errors = [
+        replace(one, response=responses.measured[0].response - one.response, line=line_of_model(k))
+        for k, one in enumerate(responses.curves)
+    ]
+    # the smaller error is drawn over the larger
+    errors.sort(key=lambda error: -float(np.nanmean(np.abs(error.response) ** 2)))
+    left, count = replace(responses, curves=errors, measured=[]), len(labels)
+    quantities = gain_label(gain_unit), "Phase [deg]", gain_label(gain_unit, "Error")
     with look.context():
         drawn = picture(look, ax, (3, 1), (7.2, 5.55), tied=3, height_ratios=[2.4, 1.7, 1.7])
-        gains, phases, errors = drawn.axes[:, 0]
-        scales: list[Callable[[ComplexArray], Array]] = [decibels, partial(degrees_from, cut)]
-        for row, of in enumerate(scales):
-            axis = drawn.axes[row, 0]
-            drawn.lines[row, 0] = axis.plot(frequency, of(measured), label="measured", zorder=2, **SAMPLES)
-            for k, (label, values) in enumerate(zip(labels, predicted, strict=True)):
-                line = axis.plot(frequency, of(values), label=plain(label), **_POINTS, **line_of_model(k))
-                drawn.lines[row, 0] += line
-        drawn.lines[2, 0] = []
-        # the smaller error is drawn over the larger
-        for k in np.argsort([float(np.nanmean(np.abs(measured - values) ** 2)) for values in predicted])[::-1]:
-            properties = {"label": plain(labels[k]), "linewidth": 1.0, **line_of_model(int(k))}
-            drawn.lines[2, 0] += errors.plot(frequency, decibels(measured - predicted[k]), **properties)
-        # models on their peaks run out of the picture
-        known = decibels(measured)[np.isfinite(decibels(measured))]
-        if len(known):
-            margin = 5.0 + 0.25 * float(np.ptp(known))
-            gains.set_ylim(float(known.min()) - margin, float(known.max()) + margin)
-        gains.set(ylabel=gain_label(gain_unit))
-        phases.set(ylabel="Phase [deg]", ylim=(cut - 20.0, cut + 380.0))
-        phases.yaxis.set_major_locator(MultipleLocator(90.0))
-        errors.set(ylabel=gain_label(gain_unit, "Error"), xlabel=labelled("Frequency", unit_name))
-        for axis in (gains, phases, errors):
-            _over_frequency(axis, frequency, look)
+        for row, (part, of) in enumerate((("magnitude", responses), ("phase", responses), ("magnitude", left))):
+            lines = draw_part(drawn.axes[row, 0], of, part, 0, 0, look, Scale())
+            # what was measured first
+            drawn.lines[row, 0] = lines[count:] + lines[:count]
+            drawn.axes[row, 0].set_ylabel(quantities[row])
+        drawn.axes[2, 0].set_xlabel(labelled("Frequency", unit_name))
         return drawn.finished(heading)
+
+
+def _compared(
+    omega: Array, measured: ComplexArray, predicted: ComplexArray, labels: Sequence[str], scale: str | None,
+    unit: tuple[float, str], dots: Any = None,
+) -> DrawnResponses:  # fmt: skip
+    """Models (k, p, K) over a measured response (p, K) of p entries, at its frequencies above 0."""
+    seen = omega > 0
+    omega = omega[seen]
+    # of a single frequency a little on both sides
+    low, high = (omega[0], omega[-1]) if len(omega) > 1 else (0.9 * omega[0], 1.1 * omega[0])
+    line = _POINTS if len(omega) <= _FEW else {**_POINTS, "marker": ""}
+    models = [
+        Curve(label, omega, values[:, None, seen], tabulated=True, line=line | line_of_model(k))
+        for k, (label, values) in enumerate(zip(labels, predicted, strict=True))
+    ]
+    known = Curve("measured", omega, measured[:, None, seen], tabulated=True, line=dots or SAMPLES)
+    axis = FrequencyAxis(float(low), float(high), *unit, is_logarithmic(scale, low, high, omega))
+    return DrawnResponses(models, [known], axis, [""] * len(measured), [""])
 
 
 def channel_comparison_plot(
@@ -117,6 +130,8 @@ def channel_comparison_plot(
     labels: Sequence[str],
     time_unit: str | None = None,
     Hz: bool | None = None,
+    scale: str | None = None,
+    gain_unit: str | None = None,
     detail: Any = "auto",
     heading: str,
     ax: Any = None,
@@ -132,7 +147,10 @@ def channel_comparison_plot(
     count = min(_CHANNELS, len(names))
     unit, unit_name = frequency_axis(Hz, time_unit)
     part: slice | None = None
-    if not spectral:
+    responses: DrawnResponses | None = None
+    if spectral:
+        responses = _compared(abscissa, measured, predicted, labels, scale, (unit, unit_name), DOTS)
+    else:
         # of the output that is explained worst
         left = np.nanmean(np.abs(measured - predicted) ** 2, axis=(0, 2)) / np.nanvar(measured, axis=1)
         worst = int(np.nanargmax(left[:count]))
@@ -140,14 +158,8 @@ def channel_comparison_plot(
     with look.context():
         drawn = panels(look, ax, count, (3.6, 2.2), sharex=ax is None)
         for k, axis in enumerate(drawn.axes.flat[:count]):
-            if spectral:
-                frequency = abscissa / unit
-                lines = axis.plot(frequency, decibels(measured[k]), label="measured", **DOTS)
-                for j, label in enumerate(labels):
-                    line = {**_POINTS, **line_of_model(j), "marker": ""}
-                    lines += axis.plot(frequency, decibels(predicted[j, k]), label=plain(label), **line)
-                axis.set_xlim(frequency[0], frequency[-1])
-                look.lattice(axis)
+            if responses is not None:
+                lines = draw_part(axis, responses, "magnitude", k, 0, look, Scale())
             else:
                 outputs = Outputs(abscissa, measured[k], predicted[:, k])
                 outputs, dots = (outputs, MEASURED) if part is None else (outputs.cut(part), SAMPLES)
@@ -156,39 +168,12 @@ def channel_comparison_plot(
             drawn.lines.flat[k] = lines
             axis.set_title(plain(names[k]), loc="left", fontsize="small")
             if k % drawn.axes.shape[1] == 0:
-                axis.set_ylabel(gain_label(None) if spectral else "Output")
+                axis.set_ylabel(gain_label(gain_unit) if spectral else "Output")
             if k + drawn.axes.shape[1] >= count:
                 axis.set_xlabel(labelled("Frequency", unit_name) if spectral else labelled("Time", time_unit))
                 axis.tick_params(labelbottom=True)
         kind = f" ({count} of {len(names)} channels)" * (count < len(names))
         return drawn.finished(heading + kind, drawn.legend_of_all())
-
-
-def _over_frequency(axis: Axes, frequency: Array, look: Look) -> None:
-    """Logarithmic over more than a decade; a point at 0 has no place there."""
-    positive = frequency[frequency > 0]
-    logarithmic = len(positive) > 0 and positive[-1] > 10.0 * positive[0]
-    if logarithmic:
-        axis.set_xscale("log")
-    if frequency[-1] > frequency[0]:
-        axis.set_xlim(*(positive if logarithmic else frequency)[[0, -1]])
-    look.lattice(axis, minor="x" if logarithmic else None)
-
-
-def _phase_cut(measured: ComplexArray) -> float:
-    """Where the circle of phases is cut open, from -360 to 0 degrees: in the middle of the widest gap between them.
-
-    A displacement has phases about 0 and 180 degrees; cut at 180, noise would throw them from one end to the other.
-    """
-    angle = np.sort(np.degrees(np.angle(measured[np.isfinite(measured) & (measured != 0)])))
-    if not len(angle):
-        return -180.0
-    gaps = np.diff(angle, append=angle[0] + 360.0)
-    k = int(np.argmax(gaps))
-    # to tens of degrees, where the gap is wide enough for that
-    cut = angle[k] + 0.5 * gaps[k]
-    cut = 10.0 * np.round(0.1 * cut) if gaps[k] > 20.0 else cut
-    return float(np.mod(cut, 360.0) - 360.0)
 
 
 # --- residuals -------------------------------------------------------------------------------------------------------
@@ -248,11 +233,9 @@ class ResponsePanel:
     def draw(self, axis: Axes, look: Look) -> list[Any]:
         """Both in decibels over frequency."""
         unit, unit_name = frequency_axis(self.Hz, self.time_unit)
-        frequency = self.omega / unit
-        lines = axis.plot(frequency, decibels(self.measured), label="measured", **SAMPLES)
-        properties: dict[str, Any] = {"label": "residual", "color": "C0", "linewidth": 1.1, "zorder": 3}
-        lines += axis.plot(frequency, decibels(self.residuals), **properties)
-        _over_frequency(axis, frequency, look)
+        parts = self.measured[None], self.residuals[None, None]
+        responses = _compared(self.omega, *parts, ["residual"], None, (unit, unit_name))
+        lines = draw_part(axis, responses, "magnitude", 0, 0, look, Scale())[::-1]
         axis.set(xlabel=labelled("Frequency", unit_name), ylabel=gain_label(self.gain_unit))
         return lines
 
@@ -358,6 +341,7 @@ def stabilisation_plot(
     least_mac: float = 0.95,
     omega_limits: ArrayLike | None = None,
     Hz: bool | None = None,
+    scale: str | None = None,
     time_unit: str | None = None,
     ax: Any = None,
     **style: Unpack[FrameStyle],
@@ -381,9 +365,11 @@ def stabilisation_plot(
     least_mac : float
         Modal assurance criterion from which on a shape does.
     omega_limits : array_like, shape (2,), optional
-        Ends of the frequency axis, in its unit.
+        Ends of the frequency axis, in its unit; by default around the modes of the chosen order, else the stable poles.
     Hz : bool, optional
         As in `frf_plot`.
+    scale : {'log', 'linear'}, optional
+        Scale of the frequency axis; by default logarithmic where the poles span more than two decades.
     time_unit : str, optional
         Unit of time, for the label; by default that of the result or the data.
     ax : matplotlib.axes.Axes, optional
@@ -429,13 +415,19 @@ def stabilisation_plot(
     behind = _behind(given)
     marked = getattr(poles, "order", None) if chosen is None else _checks.whole_number("chosen", chosen, 1)
     look = Look.of(style, FrameStyle)
+    d = np.concatenate(table.frequencies)
+    ends = (d.min(initial=np.inf), d.max(initial=0.0)) if omega_limits is None else checked_limits(omega_limits)
+    logarithmic = is_logarithmic(scale, float(ends[0]), float(ends[1]))
     with look.context():
         drawn = picture(look, ax, (1, 1), (7.6, 4.8))
         axis = drawn.axes[0, 0]
         drawn.lines[0, 0] = _draw_levels(axis, table, unit)
         _draw_behind(axis, behind, unit)
         axis.set(xlabel=labelled("Natural frequency", unit_name), ylabel="Order")
-        axis.set_xlim(*_frequency_ends(table, behind, omega_limits, unit))
+        axis.set_xscale("log" if logarithmic else "linear")
+        axis.set_xlim(*_frequency_ends(table, behind, omega_limits, unit, logarithmic, marked))
+        if logarithmic:
+            axis.xaxis.set_major_formatter(PlainLogFormatter())
         low, high = float(table.orders.min()), float(table.orders.max())
         if marked is not None and low <= marked <= high:
             axis.axhline(marked, color="C3", linewidth=6.0, alpha=0.15, zorder=0, label=f"order {marked}")
@@ -547,16 +539,24 @@ def _output_spectra(y: Array, step: float) -> tuple[Array, Array]:
 
 
 def _frequency_ends(
-    table: StabilisationData, behind: list[tuple[Array, Array, str]], given: Any, unit: float
-) -> tuple[float, float]:
-    """Ends of the axis: those given, as far as data reach, or all poles."""
+    table: StabilisationData, behind: list[tuple[Array, Array, str]], given: Any, unit: float, logarithmic: bool,
+    marked: int | None,
+) -> tuple[float, float]:  # fmt: skip
+    """Ends of the axis: those given, or around the poles of the marked order, else that are stable, as data reach."""
     if given is not None:
         return checked_limits(given)
+    stable = np.concatenate([d[level > 0] for d, level in zip(table.frequencies, table.stability, strict=True)])
+    d = stable if len(stable) else np.concatenate(table.frequencies)
+    if marked is not None and (table.orders == marked).any():
+        d = table.frequencies[int(np.argmax(table.orders == marked))] * np.array([[_BESIDE], [1 / _BESIDE]])
+    if not len(d):
+        return (behind[0][0][0] / unit, behind[0][0][-1] / unit) if behind else (0.0, 1.0)
+    # as wide as the modes and half a decade, or what was measured
+    low, high = float(d.min()), float(d.max())
+    low, high = (low / _AROUND, high * _AROUND) if logarithmic else (low - 0.15 * high, 1.15 * high)
     if behind:
-        low, high = min(one[0][0] for one in behind) / unit, max(one[0][-1] for one in behind) / unit
-        return max(0.0, low - 0.02 * (high - low)), high
-    d = np.concatenate(table.frequencies)
-    return 0.0, 1.05 * float(d.max(initial=0.0)) / unit or 1.0
+        low, high = max(low, min(one[0][0] for one in behind)), min(high, max(one[0][-1] for one in behind))
+    return max(low, 0.0) / unit, high / unit
 
 
 _LEVELS: list[dict[str, Any]] = [

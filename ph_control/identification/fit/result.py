@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import control as ct
 import numpy as np
 
 from ... import _checks
@@ -15,15 +14,14 @@ from ..._display import Report
 from ..._frozen import Frozen
 from ..._threads import on_one_thread
 from ..._types import Array, ComplexArray, NDArray
-from ..._units import SECONDS, common_unit, hertz_size, parted, unit_for
+from ..._units import common_unit, hertz_size, parted, unit_for
 from ...exceptions import StructureError
 from ...io.codecs import save
 from ...io.files import as_path, refuse_unwritable, write_atomically
 from ...modal.modal_form import ModalForm
 from ...numerics.mode_shapes import mac, phase_collinearity
-from ...plotting.bode_plot import bode_plot
 from ...plotting.fit_plot import fit_plot
-from ...plotting.frf_plot import frf_plot
+from ...plotting.frf_plot import frf_plot, nyquist_plot
 from ...plotting.shape_plot import circle_plot, mac_plot, over_inputs, shape_plot
 from ...plotting.validation_plot import hypothesis_plot, stabilisation_plot
 from ..diagnosis.verdict import CUT_SHORT, Outcome
@@ -356,9 +354,9 @@ class FittedModes(Report, Frozen):
         ----------
         experiment : int
             Which of several experiments, counted from 0.
-        kind : {'fit', 'responses', 'circles', 'shapes', 'assurance', 'stabilisation', 'residuals', 'tests'}
-            What to show: 'fit' as above, or the picture of `frf_plot`, `circle_plot`, `shape_plot`, `mac_plot`,
-            `stabilisation_plot`, `residual_plot` or `hypothesis_plot`.
+        kind : {'fit', 'responses', 'nyquist', 'circles', 'shapes', 'assurance', 'stabilisation', 'residuals', 'tests'}
+            What to show: 'fit' as above, or the picture of `frf_plot`, `nyquist_plot`, `circle_plot`, `shape_plot`,
+            `mac_plot`, `stabilisation_plot`, `residual_plot` or `hypothesis_plot`.
         output, input : int
             Which output, and of a response from which input, counted from 0; by default the first, and of 'circles' of
             each mode those in which it counts most.
@@ -387,8 +385,9 @@ class FittedModes(Report, Frozen):
         from ..validation.result_plots import residual_plot
 
         pictures: dict[str, Callable[..., Any]] = {
-            "responses": frf_plot, "circles": circle_plot, "shapes": shape_plot, "assurance": mac_plot,
-            "stabilisation": stabilisation_plot, "residuals": residual_plot, "tests": hypothesis_plot,
+            "responses": frf_plot, "nyquist": nyquist_plot, "circles": circle_plot, "shapes": shape_plot,
+            "assurance": mac_plot, "stabilisation": stabilisation_plot, "residuals": residual_plot,
+            "tests": hypothesis_plot,
         }  # fmt: skip
         if _checks.choice("kind", kind, ("fit", *pictures)) != "fit":
             given: dict[str, dict[str, Any]] = {
@@ -400,21 +399,11 @@ class FittedModes(Report, Frozen):
         place = _checks.whole_number("output", 0 if output is None else output, 0, len(self.output_labels) - 1)
         if np.iscomplexobj(fitted_experiment.predicted):
             source = _checks.whole_number("input", 0 if input is None else input, 0, len(self.input_labels) - 1)
-            plant, data, whole = self, fitted_experiment.record.as_response(), self.residues.shape[1:] == (1, 1)
-            if not whole:
-                plant, data = self._entry(place, source, fitted_experiment.record.omega), data[place, source]
-                background = getattr(fitted_experiment, "background", None)
-                plant.background = background and background.entry(place, source)
-                whole_plant = cast(Any, self)
-                if getattr(self, "window", None) is not None:
-                    plant.window = whole_plant.window
-                    plant.estimated_response = lambda omega: whole_plant.estimated_response(omega)[
-                        place : place + 1, source : source + 1
-                    ]
             names = (parted(name)[0] for name in (self.input_labels[source], self.output_labels[place]))
-            kwargs.setdefault("Hz", unit_for(kwargs.get("time_unit"), self) in SECONDS)
             kwargs.setdefault("title", "Frequency response, {} to {}".format(*names))
-            return bode_plot(plant, data=data, **kwargs)
+            # on the background of this experiment
+            shown = replace(cast(Any, self), experiments=[fitted_experiment]) if len(self.experiments) > 1 else self
+            return frf_plot(shown, fitted_experiment.record.as_response(), outputs=[place], inputs=[source], **kwargs)
         # a label such as "velocity [m/s]" carries its unit
         name, unit = parted(self.output_labels[place])
         kwargs.setdefault("output_label", name)
@@ -426,14 +415,6 @@ class FittedModes(Report, Frozen):
         )
         fitted = joint_percent(np.ravel(shares_left([(fitted_experiment.record, fitted_experiment.predicted)]))[place])
         return fit_plot(fitted_experiment.record.time, y, predicted, fit_percent=fitted, **kwargs)
-
-    def _entry(self, output: int, input: int, omega: Array) -> Any:
-        """Model of one output and input, with its delay at some frequencies only."""
-        plant, late = self.observed_system[output, input], self.delay[output] + self.input_delay[input]
-        if not late:
-            return plant
-        values = plant(1j * omega, warn_infinite=False) * np.exp(-1j * omega * late)
-        return ct.frd(values, omega, inputs=plant.input_labels, outputs=plant.output_labels)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write the result as JSON; `load` gives it back.

@@ -17,6 +17,7 @@ from ..._types import Array
 from ..._units import parted, unit_for
 from ...exceptions import StructureError
 from ...plotting.fit_plot import comparison_plot
+from ...plotting.style import told_gain_unit
 from ...plotting.validation_plot import channel_comparison_plot, response_comparison_plot
 from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
@@ -200,9 +201,9 @@ class Comparison(Report, HeldData, Frozen):
         **kwargs
             In time: `time_unit`, `output_label`, `output_unit`, `detail`, `ax` and style, as in `fit_plot`; `ax`
             takes one array of axes: outputs, errors and, unless `detail` is None, the detail.  Over frequency:
-            `time_unit`, `Hz`, `gain_unit` and style, as in `bode_plot`, and `ax` of three axes.  Of several channels
-            there is a panel for each output, or entry, at most twelve, of a long record the part `detail` of them: of
-            these `time_unit`, `Hz`, `detail`, style, and `ax` of as many axes.
+            `time_unit`, `Hz`, `gain_unit`, `scale` and style, as in `frf_plot`, and `ax` of three axes.  Of several
+            channels there is a panel for each output, or entry, at most twelve, of a long record the part `detail` of
+            them: of these `time_unit`, `Hz`, `gain_unit`, `scale`, `detail`, style, and `ax` of as many axes.
 
         Returns
         -------
@@ -226,16 +227,19 @@ class Comparison(Report, HeldData, Frozen):
         if isinstance(record, Recording | ResponseMatrix):
             kwargs["labels"] = list(self.labels)
             in_time, outputs = isinstance(record, Recording), np.asarray(compared.measured)
-            names = [
-                name if in_time else f"{source} to {name}"
-                for name in record.output_labels for source in (record.input_labels if not in_time else ("",))
-            ]  # fmt: skip
+            names = list(record.output_labels)
+            if not in_time:
+                sensors, sources = ([parted(name)[0] for name in some] for some in (names, record.input_labels))
+                names = [f"{source} to {sensor}" for sensor in sensors for source in sources]
+                kwargs.setdefault("gain_unit", told_gain_unit(record))
             flat = outputs.reshape(len(names), -1), compared.predicted.reshape(len(self.labels), len(names), -1)
             what = f"Outputs, measured and {self._how}" if in_time else "Frequency responses, measured and modelled"
             grid = record.time if isinstance(record, Recording) else record.omega
             return channel_comparison_plot(grid, *flat, names=names, heading=what + which, **kwargs)
         if isinstance(record, FrequencyRecord):
-            kwargs["heading"] = f"{self.output_label} over {record.input_label}, measured and modelled{which}"
+            sensor, source = parted(self.output_label)[0], parted(record.input_label)[0]
+            kwargs["heading"] = f"{sensor} over {source}, measured and modelled{which}"
+            kwargs.setdefault("gain_unit", told_gain_unit(record))
             return response_comparison_plot(record.omega, record.response, compared.predicted, **kwargs)
         # a label such as "velocity [m/s]" carries its unit
         name, unit = parted(self.output_label)

@@ -17,6 +17,7 @@ from ..._frozen import Frozen
 from ..._types import Array
 from ..._units import common_unit
 from ...exceptions import StructureError
+from ...plotting.inputs import given_name
 from ..data.channels import Recording, ResponseMatrix
 from ..data.data_frames import is_data_frame
 from ..data.experiments import as_measured
@@ -123,8 +124,8 @@ def names_of(models: Sequence[Any], labels: str | Sequence[str] | None) -> tuple
 
 def _name(model: Any) -> str:
     system = model.system if isinstance(model, PEMResult) else model
-    if isinstance(system, ct.InputOutputSystem) and not system._generic_name_check():
-        return str(system.name)
+    if isinstance(system, ct.InputOutputSystem) and (name := given_name(system)):
+        return name
     if isinstance(model, PEMResult):
         return f"fit ({counted(model.order, 'mode')})"
     kind = type(model).__name__
