@@ -90,7 +90,7 @@ FAULTS = (
         "0.5 * (covariance - relation)",
         "windowed_responses",
     ),
-    fault(f"{ID}/diagnosis/hum.py", "_LINE = 1e-6", "_LINE = 1e-60", "hum"),
+    fault(f"{ID}/diagnosis/hum.py", "_LINE = 1e-6", "_LINE = 0.9", "hum"),
     fault(f"{ID}/diagnosis/outliers.py", "_BY_CHANCE = 1e-4", "_BY_CHANCE = 0.9", "frequency_fits", "real_noise"),
     fault(
         f"{ID}/estimates/experiments.py",

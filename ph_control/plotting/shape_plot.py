@@ -15,7 +15,7 @@ from scipy.special import ndtri
 
 from .. import _checks
 from .._types import Array, ComplexArray, Indices
-from .._units import parted, unit_for
+from .._units import DERIVATIVES, parted, unit_for
 from ..exceptions import StructureError
 from ..numerics.mode_shapes import aligned_shapes, mac, phase_collinearity
 from .frf_plot import (
@@ -48,7 +48,6 @@ _MOST = 12  # modes of one picture
 _IN_CELLS = 12  # modes of which a matrix has room for numbers
 _COLLINEAR = 0.99  # beyond which the imaginary part of a shape is as thin as its line
 _NAMED = 12  # sensors that an axis has room to name
-_POWERS = {"velocity": 1, "acceleration": 2}  # of the pole in the residues of an output, beside a displacement
 _BUBBLE = 220.0  # area of the largest entry of a shape, in points squared
 _VIEW = np.radians([-60.0, 25.0])  # azimuth and elevation from which positions in space are seen
 _DISPLACED = 1 / 7  # largest displacement of a wire frame, of its size
@@ -398,7 +397,7 @@ def over_inputs(given: Any) -> ComplexArray | None:
     if quantities is None or len(quantities) > 1 or given.participation.shape[1] < 2:
         return None
     b, p = given.participation, given.poles[: len(given.participation)]
-    return np.asarray(b * (2j * p.imag / p ** _POWERS.get(quantities[0], 0))[:, None])
+    return np.asarray(b * (2j * p.imag / p ** DERIVATIVES[quantities[0]])[:, None])
 
 
 def _checked_shapes(found: Any) -> ComplexArray:
