@@ -96,14 +96,14 @@ def test_a_shift_of_three_in_a_thousand_is_seen_in_the_mode_that_has_it():
 
 
 def test_a_record_of_the_same_plant_is_no_alarm_more_often_than_the_level_says():
-    """With 40 records of one plant and 40 fits, 5 % are two; without the errors of the old fit nearly half alarm."""
-    alarms, naive = 0, 0
-    for seed in range(40):
-        result = phc.pem(record([seed, 0], samples=300), 2, dt=STEP, structure="free")
+    """With 20 records of one plant and 20 fits, 5 % are one; without the errors of the old fit nearly half alarm."""
+    alarms, naive, known = 0, 0, {"intersample": "zoh", "delay": 0.0, "noise": "white"}
+    for seed in range(20):
+        result = phc.pem(record([seed, 0], samples=300), 2, dt=STEP, structure="free", **known)
         test = result.changed(record([seed, 1], samples=300))
         alarms += test.changed
         naive += chdtrc(test.dof, test.score @ np.linalg.solve(test.information, test.score)) < 0.05
-    assert alarms <= 6 < naive
+    assert alarms <= 3 < naive
 
 
 def test_initial_motion_and_constant_of_the_new_record_are_no_change():
