@@ -96,7 +96,7 @@ def test_shapes_scale_to_the_force_at_its_port(forced):
 
 
 def test_a_given_number_of_modes_is_kept_beside_forces():
-    data = record(1, 1200, forces=0.3)
+    data = record(1, forces=0.3)
     result = fit_of(data, 3)
     assert result.order == 3 and "FORCES" in causes(result)
     assert fit_of(data, 2, noise="forces").order == 2 and fit_of(data, noise="forces").order == 3
@@ -145,10 +145,10 @@ def test_a_file_keeps_the_noise_of_forces(forced, tmp_path):
 
 
 def test_slow_noise_of_a_sensor_is_no_force():
-    rng, (u, y) = np.random.default_rng(4), record(4, 1200, sensors=0.0)
-    slow = lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], rng.standard_normal((3, 2200)))[:, 1000:]
-    result = fit_of((u, y + 0.3 * y.std() * slow), 3)
-    assert "FORCES" not in causes(result)
+    rng, (u, y) = np.random.default_rng(4), record(4, sensors=0.0)
+    slow = lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], rng.standard_normal((3, 3000)))[:, 1000:]
+    result = fit_of((u, y + 0.3 * y.std() * slow))
+    assert result.order == 3 and "FORCES" not in causes(result)
     np.testing.assert_allclose(result.damping_ratios, ZETA, atol=5 * result.stderr["damping_ratios"].max())
 
 
@@ -156,7 +156,7 @@ def test_slow_noise_is_no_force_where_it_makes_poles_grow_in_white_noise():
     rng, plant = np.random.default_rng(0), phc.frenkel_kontorova(2)
     t, u = 0.1 * np.arange(1000), rng.standard_normal(1000)
     y = phc.forced_response(plant, t, u, intersample="zoh").outputs
-    slow = lfilter([0.2], [1.0, -0.95], np.random.default_rng(1).standard_normal(1500))[500:]
+    slow = lfilter([0.2], [1.0, -0.95], np.random.default_rng(2).standard_normal(1500))[500:]
     result = phc.pem((u, y + slow), 2, dt=0.1)
     assert "FORCES" not in causes(result)
     errors = result.natural_frequencies - np.sort(np.abs(plant.poles().imag))[::2]
