@@ -304,7 +304,7 @@ def test_shifts_are_held_against_the_errors_of_both_fits():
     assert table[0] == "1 shift in 2 pairs of modes and poles" and "*" in table[2] and "*" not in table[3]
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=4), st.integers(0, 3))
 def test_p_values_are_adjusted_together(shifts, where):
     """Fits whose errors are known: the arrays of the comparison are those of the definition, whatever the shifts."""

@@ -15,7 +15,7 @@ from ph_control.identification.uncertainty.state_coordinates import controllable
 
 STEP = 0.1
 QUANTITIES = ("velocity", "displacement", "acceleration")
-relaxed = settings(deadline=None, max_examples=25, derandomize=True)
+relaxed = settings(deadline=None, max_examples=13, derandomize=True)
 
 
 def dense(form, d, v):

@@ -24,7 +24,7 @@ from ph_control import (
 )
 
 EPS = np.finfo(float).eps
-quick = settings(deadline=None, max_examples=25, derandomize=True)
+quick = settings(deadline=None, max_examples=13, derandomize=True)
 positive = st.floats(0.1, 10.0)
 
 

@@ -17,7 +17,7 @@ from nodal_analysis import FORMS, KINDS, errors, nodal_response, random_one_port
 
 import ph_control as phc
 
-SETTINGS = settings(deadline=None, max_examples=25, derandomize=True)
+SETTINGS = settings(deadline=None, max_examples=13, derandomize=True)
 EVERY = [(kind, form) for kind in KINDS for form in FORMS]
 RESONATOR = "resonator\nV1 1 0 AC 1\nR1 1 2 50\nL1 2 3 1m\nC1 3 0 10n\n.end\n"
 

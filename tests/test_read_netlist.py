@@ -17,7 +17,7 @@ from nodal_analysis import nodal_response
 
 import ph_control as phc
 
-SETTINGS = settings(deadline=None, max_examples=30, derandomize=True)
+SETTINGS = settings(deadline=None, max_examples=15, derandomize=True)
 
 
 POWERS = {"meg": 6, "k": 3, "m": -3, "u": -6, "n": -9, "p": -12}

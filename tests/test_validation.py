@@ -16,7 +16,7 @@ from ph_control import StructureError, compare, order_selection, residual_analys
 
 EPS = np.finfo(float).eps
 STEP = 0.1
-quick = settings(deadline=None, max_examples=20, derandomize=True)
+quick = settings(deadline=None, max_examples=10, derandomize=True)
 
 
 def plant(name="plant"):
