@@ -526,7 +526,7 @@ def _fits() -> list[Any]:
     t, u, y = _record(1)
     return [
         phc.pem((u, y), 2, dt=0.1), phc.pem(_data()[5], 1),
-        phc.pem([_as_data(t, u, y), _as_data(*_record(2, missing=True))], 1),
+        phc.pem([_as_data(t, u, y), _as_data(*_record(2, missing=True))], 2),
         phc.pem((None, _record(3, driven=False)[2]), 1, dt=0.1, quantity="displacement", offset=True),
         phc.pem((u, np.stack([y, -0.5 * y])), 2, dt=0.1, structure="free", ports=[(0, 0)]),
         phc.pem((None, np.stack([y, -0.5 * y])), 1, dt=0.1, structure="free"),

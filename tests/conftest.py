@@ -7,12 +7,17 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import control
+import hypothesis
 import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 matplotlib.use("Agg")
+
+# the same examples in every run
+hypothesis.settings.register_profile("suite", derandomize=True, deadline=None, max_examples=30)
+hypothesis.settings.load_profile("suite")
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -21,9 +26,9 @@ def _global_state():
     return {
         "numpy.geterr()": np.geterr(),
         "control.config.defaults": dict(control.config.defaults),
-        "matplotlib.rcParams": dict(matplotlib.rcParams.copy()),
+        "matplotlib.rcParams": dict.copy(matplotlib.rcParams),
         "numpy.random": [
-            part.tolist() if isinstance(part, np.ndarray) else part
+            part.tobytes() if isinstance(part, np.ndarray) else part
             for part in np.random.get_state()  # noqa: NPY002
         ],
     }

@@ -12,7 +12,7 @@ from reference import EPS, dense_transfer_function, random_hamiltonian, symplect
 
 import ph_control as phc
 
-relaxed = settings(deadline=None, max_examples=30, derandomize=True)
+relaxed = settings(deadline=None, max_examples=15, derandomize=True)
 POINTS = np.array([0.3 + 1j, -2.0 + 0.1j, 5.0])
 
 

@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 
 import ph_control as phc
 
-SETTINGS = settings(deadline=None, max_examples=20, derandomize=True)
+SETTINGS = settings(deadline=None, max_examples=10, derandomize=True)
 MASSES = np.array([2.0, 2.0, 2.0, 1.5, 1.5, 1.0])
 
 

@@ -15,7 +15,7 @@ from reference import EPS, dense_transfer_function, on_axis, random_hamiltonian,
 
 import ph_control as phc
 
-relaxed = settings(deadline=None, max_examples=30, derandomize=True)
+relaxed = settings(deadline=None, max_examples=15, derandomize=True)
 SPECTRA = {
     "decade": lambda n: np.logspace(0, 1, n),
     "wide 1e4": lambda n: np.logspace(-2, 2, n),

@@ -97,14 +97,14 @@ def test_a_shift_of_three_in_a_thousand_is_seen_in_the_mode_that_has_it():
 
 
 def test_a_record_of_the_same_plant_is_no_alarm_more_often_than_the_level_says():
-    """With 40 records of one plant and 40 fits, 5 % are two; without the errors of the old fit nearly half alarm."""
-    alarms, naive = 0, 0
-    for seed in range(40):
-        result = phc.pem(record([seed, 0], samples=300), 2, dt=STEP, structure="free")
+    """With 20 records of one plant and 20 fits, 5 % are one; without the errors of the old fit nearly half alarm."""
+    alarms, naive, known = 0, 0, {"intersample": "zoh", "delay": 0.0, "noise": "white"}
+    for seed in range(20):
+        result = phc.pem(record([seed, 0], samples=300), 2, dt=STEP, structure="free", **known)
         test = result.changed(record([seed, 1], samples=300))
         alarms += test.changed
         naive += chdtrc(test.dof, test.score @ np.linalg.solve(test.information, test.score)) < 0.05
-    assert alarms <= 6 < naive
+    assert alarms <= 3 < naive
 
 
 def test_initial_motion_and_constant_of_the_new_record_are_no_change():
@@ -308,7 +308,7 @@ def test_shifts_are_held_against_the_errors_of_both_fits():
     assert table[0] == "1 shift in 2 pairs of modes and poles" and "*" in table[2] and "*" not in table[3]
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=4), st.integers(0, 3))
 def test_p_values_are_adjusted_together(shifts, where):
     """Fits whose errors are known: the arrays of the comparison are those of the definition, whatever the shifts."""

@@ -30,8 +30,7 @@ def found_all(result, plant, samples):
 # --- constants and drifts --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("samples", [400, 1700, 2000, 5000])
-@pytest.mark.parametrize("order", [1, "auto"])
+@pytest.mark.parametrize("samples, order", [(400, 1), (400, "auto"), (2000, 1), (5000, "auto")])
 def test_a_constant_of_the_sensor_is_estimated_and_named(samples, order):
     rng = np.random.default_rng(0)
     y = 2 + np.cos(1.3 * np.arange(samples)) + 0.05 * rng.standard_normal(samples)
@@ -42,8 +41,8 @@ def test_a_constant_of_the_sensor_is_estimated_and_named(samples, order):
     np.testing.assert_allclose(causes(result)["CONSTANT"].values, result.offsets)
 
 
-@pytest.mark.parametrize("samples", [600, 3000])
-def test_a_drift_of_the_sensor_is_estimated_and_named(samples):
+def test_a_drift_of_the_sensor_is_estimated_and_named():
+    samples = 600
     plant, u, _, y, size = recording(1, samples=samples)
     drift = 50 * size / samples
     result = phc.pem((u, y + 1.0 + drift * np.arange(samples)), dt=1.0)
@@ -98,9 +97,9 @@ def test_no_constant_is_estimated_where_it_is_forbidden():
 # --- when the input arrives ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("samples", [800, 2500])
-@pytest.mark.parametrize("intersample", ["zoh", "foh"])
-@pytest.mark.parametrize("order", [3, "auto"])
+@pytest.mark.parametrize(
+    "intersample, order, samples", [("zoh", 3, 800), ("foh", 3, 2500), ("zoh", "auto", 2500), ("foh", "auto", 800)]
+)
 def test_the_hold_is_the_one_that_the_data_prefer(intersample, order, samples):
     plant, u, _, y, _ = recording(3, samples=samples, intersample=intersample)
     result = phc.pem((u, y), order, dt=1.0)
@@ -136,8 +135,7 @@ def test_the_table_of_orders_takes_the_hold_of_the_data_too():
     assert phc.order_selection((u, y), 4, dt=1.0).chosen() == 2
 
 
-@pytest.mark.parametrize("delay", [1, 3, -1])
-@pytest.mark.parametrize("samples", [900, 2500])
+@pytest.mark.parametrize("delay, samples", [(1, 900), (3, 2500), (-1, 900)])
 def test_a_delay_is_named_and_the_order_stays(delay, samples):
     plant, u, _, y, _ = recording(5, samples=samples)
     late = (u[delay:], y[:-delay]) if delay > 0 else (u[:delay], y[-delay:])
@@ -163,30 +161,28 @@ def test_a_mode_slower_than_the_record_is_called_a_drift():
 # --- noise -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("drift", [0.0, 1.0])
-def test_a_delay_of_a_damped_plant_is_named_and_none_where_there_is_none(drift):
+@pytest.mark.parametrize("drift, order, delays", [(0.0, "auto", (1, 8)), (1.0, 2, (8,))])
+def test_a_delay_of_a_damped_plant_is_named_and_none_where_there_is_none(drift, order, delays):
     rng = np.random.default_rng(5)
     plant = phc.ph(phc.modes([3.0, 7.0], [0.33, 0.09], damping=[0.01, 0.009]))
-    u = rng.standard_normal(2000)
-    y = phc.forced_response(plant, 0.05 * np.arange(2000), u, intersample="zoh").outputs
-    y = y + np.std(y) * (0.03 * rng.standard_normal(2000) + drift * np.arange(2000) / 1000)
-    on_time = phc.pem((u, y), dt=0.05, real_poles=0)
+    u = rng.standard_normal(1400)
+    y = phc.forced_response(plant, 0.05 * np.arange(1400), u, intersample="zoh").outputs
+    y = y + np.std(y) * (0.03 * rng.standard_normal(1400) + drift * np.arange(1400) / 700)
+    on_time = phc.pem((u, y), order, dt=0.05, real_poles=0)
     assert "DELAY" not in causes(on_time)
     # one or four heavily damped modes mimic the shortest and the longest of these, and leave white residuals
-    for delay in (1, 8):
-        late = phc.pem((u[delay:], y[:-delay]), dt=0.05, real_poles=0)
+    for delay in delays:
+        late = phc.pem((u[delay:], y[:-delay]), order, dt=0.05, real_poles=0)
         found, error = causes(late)["DELAY"].values
         assert abs(found - 0.05 * delay) < 4 * error < 0.02 * 0.05
         assert "later than the response to the input" in late.message
         assert late.experiments[0].record.samples == len(u) - delay
         assert [one.cause.name for one in late.findings].count("DRIFT") == (drift > 0)
-        # beside a drift, rounding decides whether a third and weak mode mends what is left of it
-        assert 2 <= late.order <= 2 + (drift > 0) and late.structure == "classical"
-        plants = np.argmin(np.abs(late.d - on_time.d[:, None]), axis=1)
-        np.testing.assert_allclose(late.damping_ratios[plants], on_time.damping_ratios, rtol=0.02)
+        assert late.order == 2 and late.structure == "classical"
+        np.testing.assert_allclose(late.damping_ratios, on_time.damping_ratios, rtol=0.02)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_coloured_noise_is_named_and_adds_no_modes(seed):
     plant, u, clean, _, size = recording(6 + seed)
     rng = np.random.default_rng(seed)

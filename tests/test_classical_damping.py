@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import ph_control as phc
 
-SETTINGS = settings(deadline=None, max_examples=40, derandomize=True)
+SETTINGS = settings(deadline=None, max_examples=20, derandomize=True)
 
 
 def branches(circuit):

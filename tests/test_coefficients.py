@@ -14,7 +14,7 @@ from reference import EPS, coefficients
 import ph_control as phc
 from ph_control.numerics import polynomials as engine
 
-relaxed = settings(deadline=None, max_examples=40, derandomize=True)
+relaxed = settings(deadline=None, max_examples=20, derandomize=True)
 
 RNG = np.random.default_rng(20)
 LARGE = {

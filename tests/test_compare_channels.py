@@ -8,10 +8,10 @@ import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from modal_plants import Plant, data_of
 from shell import run
 
 import ph_control as phc
-from benchmarks.modal_efficiency import Plant, data_of
 
 PLANT = Plant.of(2, 3, 2, seed=1)
 FORM = phc.modes(PLANT.poles, PLANT.shapes, (PLANT.poles / (2j * PLANT.poles.imag))[:, None] * PLANT.shapes[:, :2])

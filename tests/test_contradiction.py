@@ -66,7 +66,7 @@ def signed_weights(result, quantity="velocity"):
 @pytest.mark.parametrize("noise", [0.1, 0.4])
 def test_lossless_records_with_white_noise_are_not_accused(noise):
     accused = 0
-    for seed in range(6):
+    for seed in range(4):
         u, y = recording(CLEAN, POSITIVE, seed=seed, noise=noise)
         (test,) = lossless_fit((u, y), 3, dt=H).tests
         assert test.p > 1e-3
@@ -76,13 +76,13 @@ def test_lossless_records_with_white_noise_are_not_accused(noise):
 
 def test_damping_is_estimated_within_its_standard_error():
     errors = []
-    for seed in range(6):
+    for seed in range(4):
         data = recording((0.01, 0.01, 0.02), POSITIVE, seed=seed)
         result = phc.pem(data, 3, dt=H, structure="classical", intersample="zoh", delay=0.0, noise="white")
         assert np.allclose(result.natural_frequencies, D, rtol=0.01)
         errors.append((result.damping_ratios - [0.01, 0.01, 0.02]) / result.stderr["damping_ratios"])
-        lossless = lossless_fit(data, 3, dt=H)
-        assert "LOSSES" in causes(lossless) and lossless.outcome.name == "NOT_DESCRIBED"
+    lossless = lossless_fit(data, 3, dt=H)
+    assert "LOSSES" in causes(lossless) and lossless.outcome.name == "NOT_DESCRIBED"
     assert np.abs(errors).max() < 4
     # standard errors that mean something are neither far too small nor far too large
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.6
@@ -90,7 +90,7 @@ def test_damping_is_estimated_within_its_standard_error():
 
 def test_a_sensor_away_from_the_actuator_is_seen_by_the_sign():
     errors = []
-    for seed in range(5):
+    for seed in range(3):
         u, y = recording(CLEAN, (1.0, -0.5, 0.7), seed=seed)
         result = phc.pem((u, y), 3, dt=H, structure="free")
         values, spread = signed_weights(result)
@@ -163,8 +163,8 @@ def test_a_free_motion_that_decays_has_its_damping(order):
 
 def test_a_free_motion_that_does_not_decay_is_not_accused():
     for order in (2, "auto"):
-        tests = [lossless_fit((None, motion(0.0, seed)), order, dt=H).tests[0].p for seed in range(6)]
-        assert min(tests) > 1e-3 and sum(p < 0.05 for p in tests) <= 2
+        tests = [lossless_fit((None, motion(0.0, seed)), order, dt=H).tests[0].p for seed in range(3)]
+        assert min(tests) > 1e-3 and sum(p < 0.05 for p in tests) <= 1
 
 
 # --- the linear problem --------------------------------------------------------------------------------------------
@@ -201,14 +201,14 @@ def test_a_pair_closer_than_the_record_resolves_stays_lossless():
     """Free poles of such a pair may lie anywhere near it; the lossless minimum is not judged by where they are."""
     step, rejected = 2 * np.pi / 2000, 0
     plant = phc.ph(phc.modes(1.0 + np.array([0.0, 0.2]) * step, [1.0, 0.5]))
-    for seed in range(3):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         u, t = rng.standard_normal(2000), np.arange(2000.0)
         y = np.asarray(phc.forced_response(plant, t, u, return_states=False, intersample="zoh").outputs)
         result = phc.pem((u, y + 0.01 * np.std(y) * rng.standard_normal(2000)), dt=1.0)
         (test,) = [each for each in result.tests if each.hypothesis == "lossless"]
         assert result.outcome.name == "CONSISTENT" and test.p > 1e-3, seed
-        # a true structure is rejected once in twenty by chance, two of three once in 140
+        # a true structure is rejected once in twenty by chance
         rejected += result.structure != "lossless"
         if result.structure == "lossless":
             assert np.allclose((result.d - plant.d) / step, 0.0, atol=0.05)

@@ -15,7 +15,7 @@ from ph_control.identification.uncertainty.state_coordinates import controllable
 
 STEP = 0.1
 QUANTITIES = ("velocity", "displacement", "acceleration")
-relaxed = settings(deadline=None, max_examples=25, derandomize=True)
+relaxed = settings(deadline=None, max_examples=13, derandomize=True)
 
 
 def dense(form, d, v):
@@ -108,11 +108,11 @@ def sensor_away(samples=400):
 # --- the three forms show the same ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("n", range(1, 9))
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 8])
 def test_every_form_runs_along_the_prediction_from_its_state(n):
     for quantity in QUANTITIES if n <= 3 else QUANTITIES[n % 3 :][:1]:
         u, y = recording(n, quantity, noise=0.01)
-        result = phc.pem((u, y), n, dt=STEP, quantity=quantity)
+        result = phc.pem((u, y), n, dt=STEP, quantity=quantity, delay=0.0, noise="white")
         shown = 60 if n < 6 else 30
         size = np.abs(result.predicted).max()
         # what an accelerometer feels of modes above those of the model is an unknown of its own

@@ -55,8 +55,7 @@ def lossless_loss(u, y, d, intersample):
     return float(np.mean((y - columns @ found.x) ** 2))
 
 
-@pytest.mark.parametrize("order", [3, "auto"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("order, seed", [(3, 0), ("auto", 1)])
 def test_a_fit_to_damped_data_is_a_minimum_of_the_lossless_problem(order, seed):
     u = white(1000, seed)
     y = recorded(u, [0.004] * 3, WEIGHTS, seed=seed, noise=0.05)
@@ -74,7 +73,7 @@ def test_a_fit_to_damped_data_is_a_minimum_of_the_lossless_problem(order, seed):
 
 def test_parameters_lie_within_their_standard_errors():
     scores = []
-    for seed in range(8):
+    for seed in range(5):
         u = white(1000, seed)
         model = phc.pem((u, recorded(u, RATIOS, WEIGHTS, seed=seed)), 3, dt=H, structure="free")
         poles = D * (-RATIOS + 1j * np.sqrt(1 - RATIOS**2))
@@ -127,7 +126,7 @@ def test_a_lossless_record_is_not_rejected():
 
 def test_a_lossless_model_is_refused_by_chance_as_often_as_it_should():
     found, known = [], {"intersample": "zoh", "delay": 0.0, "noise": "white"}
-    for seed in range(60):
+    for seed in range(30):
         u = white(300, seed)
         found.append(
             lossless_fit((u, recorded(u, [0, 0], [1.0, 0.6], d=D[:2], h=1.0, seed=seed)), 2, dt=1.0, **known).tests[0]
@@ -141,25 +140,25 @@ def test_a_lossless_model_is_refused_by_chance_as_often_as_it_should():
 
 def test_damping_that_leaves_residuals_white_is_not_consistent():
     told = 0
-    for seed in range(5):
+    for seed in range(2):
         u = white(2000, seed)
         y = recorded(u, [1e-4] * 3, np.abs(WEIGHTS), d=[0.5, 1.3, 2.2], h=1.0, noise=0.05, seed=seed)
         result = lossless_fit((u, y), 3, dt=1.0)
         (test,) = result.tests
         told += test.p < 1e-3
         assert (test.p < 1e-3) == (result.outcome.name != "CONSISTENT")
-    assert told == 5
+    assert told == 2
 
 
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
 @pytest.mark.parametrize("options", [{}, {"initial_state": "zero"}])
 def test_other_quantities_and_rest_are_judged_alike(quantity, options):
     p = []
-    for seed in range(15):
+    for seed in range(8):
         u = white(400, seed)
         y = recorded(u, [0, 0], [1.0, 0.6], d=D[:2], h=1.0, seed=seed, quantity=quantity)
         p.append(lossless_fit((u, y), 2, dt=1.0, quantity=quantity, **options).tests[0].p)
-    assert np.sum(np.array(p) < 0.05) <= 4 and np.mean(p) > 0.25
+    assert np.sum(np.array(p) < 0.05) <= 2 and np.mean(p) > 0.25
 
 
 # --- the search ----------------------------------------------------------------------------------------------------

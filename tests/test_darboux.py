@@ -13,7 +13,7 @@ from scipy.linalg import expm
 import ph_control as phc
 from ph_control import CasimirSplit, darboux, split_casimirs
 
-quick = settings(deadline=None, max_examples=60, derandomize=True)
+quick = settings(deadline=None, max_examples=30, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 
 

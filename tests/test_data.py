@@ -168,7 +168,7 @@ def test_every_trace_is_an_experiment_that_keeps_its_label():
         as_experiments([runs[0], spoiled])
 
 
-@settings(deadline=None, max_examples=60, derandomize=True)
+@settings(deadline=None, max_examples=30, derandomize=True)
 @given(
     k=st.integers(1, 200), rate=st.booleans(), samples=st.integers(2, 50), origin=st.floats(-1e6, 1e6),
 )  # fmt: skip
@@ -181,7 +181,7 @@ def test_the_origin_of_time_changes_the_time_only(k, rate, samples, origin):
     np.testing.assert_array_equal(there.time, origin + step * u)
 
 
-@settings(deadline=None, max_examples=40, derandomize=True)
+@settings(deadline=None, max_examples=20, derandomize=True)
 @given(step=st.floats(1e-90, 1e90), samples=st.integers(2, 40))
 def test_a_step_of_any_size_is_found_to_rounding(step, samples):
     u = np.arange(float(samples))

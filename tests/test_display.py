@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import ph_control as phc
 
-SETTINGS = settings(max_examples=60, deadline=None)
+SETTINGS = settings(max_examples=30, deadline=None)
 
 NASTY = ["a<b>", "R&D", "$x$ and $y$", 'say "yes"', "it's", "</div><script>", "κ &amp; \\(r\\)"]
 

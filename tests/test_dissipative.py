@@ -42,7 +42,7 @@ def drawn(seed, sensors=True):
 SEEDS = given(seed=st.integers(0, 2**31))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @SEEDS
 def test_matrices_responses_and_simulations_are_those_of_the_equations(seed):
     system, dense, rng = drawn(seed)
@@ -206,7 +206,7 @@ def test_poles_on_the_axis_give_infinity_and_never_nan():
     assert np.isinf(system(1j)) and np.isfinite(system(2j)) and not np.isnan(system(1j))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @SEEDS
 def test_the_ports_of_any_such_system_are_passive(seed):
     system, dense, _ = drawn(seed)
@@ -284,7 +284,7 @@ def test_what_makes_energy_or_does_not_fit_is_refused(parts, message):
         phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], **parts)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @SEEDS
 def test_connections_are_port_hamiltonian_and_those_of_python_control(seed):
     one, dense, rng = drawn(seed, sensors=False)
@@ -313,7 +313,7 @@ def test_connections_are_port_hamiltonian_and_those_of_python_control(seed):
     assert not isinstance(ct.feedback(one, other, sign=1), phc.PortHamiltonian)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @SEEDS
 def test_the_energy_of_a_loop_with_an_absorber_never_rises_without_input(seed):
     rng = np.random.default_rng(seed)
@@ -366,7 +366,7 @@ def with_hidden(seed):
     return phc.ph(U @ Q @ U.T, U @ B, **parts, sensors=rows if rng.integers(2) else None, inputs=m), seen
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @SEEDS
 def test_minreal_leaves_out_hidden_states_and_keeps_the_transfer_function(seed):
     system, seen = with_hidden(seed)

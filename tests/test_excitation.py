@@ -338,7 +338,7 @@ def test_a_mode_without_weight_is_told_apart_from_a_poor_input():
     assert found.remedies == ()
 
 
-@settings(deadline=None, max_examples=30, derandomize=True)
+@settings(deadline=None, max_examples=15, derandomize=True)
 @given(
     n=st.integers(1, 5), lines=st.integers(0, 6), seed=st.integers(0, 1000), offset=st.booleans(), rest=st.booleans()
 )
@@ -501,7 +501,7 @@ def test_in_brief_there_is_one_reason_and_one_remedy(n, lines):
 # --- remedies --------------------------------------------------------------------------------------------------------
 
 
-@settings(deadline=None, max_examples=20, derandomize=True)
+@settings(deadline=None, max_examples=10, derandomize=True)
 @given(n=st.integers(2, 4), seed=st.integers(0, 1000))
 def test_the_frequencies_that_are_advised_cure_the_input(n, seed):
     rng = np.random.default_rng(seed)

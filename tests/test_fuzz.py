@@ -132,7 +132,7 @@ def test_a_call_is_the_same_when_it_is_made_again(folder):
         session.one(number)
         return [name for name, _ in seen]
 
-    assert [drawn(number) for number in range(20)] == [drawn(number) for number in range(20)]
+    assert [drawn(number) for number in range(12)] == [drawn(number) for number in range(12)]
 
 
 def test_files_are_damaged_in_many_ways():

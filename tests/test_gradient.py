@@ -14,7 +14,7 @@ import ph_control as phc
 from ph_control import gradient_descent, observable_morphism
 
 EPS = float(np.finfo(float).eps)
-SETTINGS = settings(deadline=None, max_examples=25, derandomize=True)
+SETTINGS = settings(deadline=None, max_examples=13, derandomize=True)
 KINDS = ("natural", "unique")
 
 

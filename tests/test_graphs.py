@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from ph_control.numerics.graphs import components, coupled_pairs
 
-relaxed = settings(deadline=None, max_examples=100, derandomize=True)
+relaxed = settings(deadline=None, max_examples=50, derandomize=True)
 
 
 def walked(near):

@@ -8,8 +8,8 @@ import ph_control as phc
 STEP, SAMPLES, PEAK, NOISE = 0.02, 3000, 150.0, 0.03
 PLANT = phc.spring_chain([1.0, 1.0, 1.0], 40.0, ground=[40.0, 0, 0], c=0.02, port=2)
 TIME = STEP * np.arange(SAMPLES)
-# nothing else is searched for: neither lags nor another hold
-KNOWN = {"intersample": "foh", "real_poles": 0}
+# nothing else is searched for: neither lags nor delays nor another hold
+KNOWN = {"intersample": "foh", "real_poles": 0, "delay": 0.0}
 
 
 def names(result):
@@ -54,7 +54,7 @@ def test_a_force_without_noise_is_as_given():
 def test_a_force_between_hits_that_the_outputs_answer_stays():
     """A machine runs beside: its force is small beside the hits, but resonates."""
     given = [hit([3, k], noise=0.01, background=0.5) for k in range(2)]
-    result = phc.pem(given, **KNOWN)
+    result = phc.pem(given, 3, **KNOWN)
     assert "HAMMER_NOISE" not in names(result)
     assert np.array_equal(np.ravel(result.experiments[0].record.u), np.ravel(given[0].u))
 

@@ -61,37 +61,41 @@ def test_dead_times_of_inputs_are_found_with_the_plant(fit):
     assert "The input 'u3' acts 4.5 units of time later" in fit.message
 
 
-@pytest.mark.parametrize(("outputs", "colour", "noise"), [(2, 0.0, 0.05), (1, 0.9, 0.3)])
-def test_dead_times_are_common_to_all_outputs_and_stand_beside_coloured_noise(outputs, colour, noise):
-    result = phc.pem(
-        recorded(1, samples=700 if outputs == 2 else 1400, outputs=outputs, colour=colour, noise=noise), dt=DT
-    )
+@pytest.mark.parametrize(
+    ("data", "options"),
+    [
+        ({"samples": 420, "outputs": 2, "noise": 0.05}, {"order": 0, "real_poles": 2}),
+        ({"samples": 1400, "colour": 0.9, "noise": 0.3}, {}),
+    ],
+)
+def test_dead_times_are_common_to_all_outputs_and_stand_beside_coloured_noise(data, options):
+    result = phc.pem(recorded(1, **data), dt=DT, **options)
     np.testing.assert_allclose(result.input_delay, DT * DEAD)
     np.testing.assert_array_equal(result.delay, 0.0)
 
 
 def test_dead_times_are_common_to_all_experiments():
-    pairs = [recorded(seed, samples=420) for seed in (2, 3)]
-    result = phc.pem(pairs, dt=[DT, DT], noise="white")
+    pairs = [recorded(seed, samples=280) for seed in (2, 3)]
+    result = phc.pem(pairs, 0, dt=[DT, DT], noise="white", real_poles=2)
     np.testing.assert_allclose(result.input_delay, DT * DEAD)
     assert len(result.experiments) == 2 and all(data.fit_percent > 90 for data in result.experiments)
 
 
 def test_dead_times_are_found_beside_a_mode():
     rng = np.random.default_rng(4)
-    u, dead, pole = rng.standard_normal((2, 500)), (5, 0), -0.02 + 0.9j
+    u, dead, pole = rng.standard_normal((2, 300)), (5, 0), -0.02 + 0.9j
     x = ct.forced_response(
         ct.c2d(phc.modes([pole], [[1.0]], [[1.0, 0.6j]]).state_space(), DT), None, late(u, dead)
     ).outputs
-    y = np.atleast_2d(x) + 0.05 * np.std(x) * rng.standard_normal((1, 500))
-    result = phc.pem((u, y), dt=DT)
+    y = np.atleast_2d(x) + 0.05 * np.std(x) * rng.standard_normal((1, 300))
+    result = phc.pem((u, y), 1, dt=DT, real_poles=0)
     np.testing.assert_allclose(result.input_delay, DT * np.array(dead))
     np.testing.assert_allclose(result.poles, [pole], rtol=0.01)
 
 
 @pytest.mark.parametrize("dead", [(0, 0, 0), (3, 3, 3)])
 def test_inputs_that_act_together_have_no_dead_times_of_their_own(dead):
-    result = phc.pem(recorded(5, np.array(dead)), dt=DT)
+    result = phc.pem(recorded(5, np.array(dead)), 0, dt=DT, real_poles=2)
     np.testing.assert_array_equal(result.input_delay, 0.0)
     np.testing.assert_allclose(result.delay, DT * dead[0])
 

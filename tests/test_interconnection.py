@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import ph_control as phc
 
 SEEDS = given(seed=st.integers(0, 2**31))
-SETTINGS = settings(max_examples=40, deadline=None)
+SETTINGS = settings(max_examples=20, deadline=None)
 
 
 def drawn(rng, ports, *, through=False, sensors=0, lossless=False):

@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 import ph_control as phc
 
 EPS = ref.EPS
-SETTINGS = settings(deadline=None, max_examples=30, derandomize=True)
+SETTINGS = settings(deadline=None, max_examples=15, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 
 

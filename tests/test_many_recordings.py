@@ -24,7 +24,7 @@ from test_workers import cluster
 import ph_control as phc
 
 STEP = 0.1
-OPTIONS = {"order": 1, "structure": "lossless"}
+OPTIONS = {"order": 1, "structure": "lossless", "intersample": "zoh", "delay": 0.0, "noise": "white", "offset": False}
 
 
 def pair(k, samples=80):
@@ -128,7 +128,7 @@ def test_an_iterator_is_taken_as_there_is_room():
     taken, ahead = [], []
 
     def recordings():
-        for k in range(30):
+        for k in range(15):
             taken.append(k)
             yield pair(k % 3)
 
@@ -137,21 +137,20 @@ def test_an_iterator_is_taken_as_there_is_room():
             recordings(), workers=pool, dt=STEP, callback=lambda told: ahead.append(len(taken) - told.done), **OPTIONS
         )
     # two for each thread; more when they are known to be short
-    assert len(fits) == 30 and ahead[0] == 3
+    assert len(fits) == 15 and ahead[0] == 3
 
 
-@pytest.mark.parametrize("kind", ["processes", "threads"])
-def test_a_failure_among_quick_recordings_is_its_own_only(kind):
+def test_a_failure_among_quick_recordings_is_its_own_only():
     def recordings():
-        return (pair(k, 30) if k != 40 else {"no": lambda: None} for k in range(60))
+        return (pair(k % 5, 30) if k != 30 else {"no": lambda: None} for k in range(40))
 
-    options = OPTIONS | {"dt": STEP, "intersample": "zoh", "delay": 0.0, "noise": "white", "offset": False}
-    here = phc.fit_many(recordings(), **options)
-    with ThreadPoolExecutor(2) if kind == "threads" else nullcontext(2) as given:
-        there = phc.fit_many(recordings(), workers=given, **options)
-    assert there.failures["recording"].tolist() == here.failures["recording"].tolist() == [40]
-    well = here.table["order"] >= 0
-    assert there.table["hertz"][well].tobytes() == here.table["hertz"][well].tobytes()
+    here = phc.fit_many([pair(k, 30) for k in range(5)], dt=STEP, **OPTIONS).table["hertz"]
+    expected = [here[k % 5] for k in range(40) if k != 30]
+    for workers in (ThreadPoolExecutor(2), nullcontext(2)):
+        with workers as given:
+            fits = phc.fit_many(recordings(), workers=given, dt=STEP, **OPTIONS)
+        assert fits.failures["recording"].tolist() == [30]
+        assert fits.table["hertz"][fits.table["order"] >= 0].tolist() == expected
 
 
 def test_a_callback_is_told_of_each_recording(files):
@@ -250,37 +249,39 @@ def test_a_store_that_is_a_file_is_refused(files):
 def read_or_die(path):
     """Read a recording; of some, the process that does so first is killed, of one, each."""
     mark = path.with_suffix(".mark")
-    if path.stem == "04" or (path.stem in ("01", "15") and not mark.exists()):
+    if path.stem == "04" or (path.stem in ("01", "09") and not mark.exists()):
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return phc.read_csv(path)
 
 
 def test_a_killed_process_is_replaced_and_loses_nothing(files, tmp_path):
-    files += [write(tmp_path / f"{k:02d}.csv", k) for k in range(6, 24)]
+    files += [write(tmp_path / f"{k:02d}.csv", k) for k in range(6, 12)]
     store = tmp_path / "results"
     fits = phc.fit_many(files, reader=read_or_die, workers=2, store=store, **OPTIONS)
-    assert fits.table["recording"].tolist() == list(range(24))
+    assert fits.table["recording"].tolist() == list(range(12))
     assert fits.failures["recording"].tolist() == [2, 4] and "died" in fits.failures["message"][1]
     here = phc.fit_many(files, **OPTIONS)
-    well = np.delete(np.arange(24), [2, 4])
+    well = np.delete(np.arange(12), [2, 4])
     assert fits.table["hertz"][well].tolist() == here.table["hertz"][well].tolist()
-    assert {one.suffix for one in store.iterdir()} == {".json"} and len(written(store)) == 22
+    assert {one.suffix for one in store.iterdir()} == {".json"} and len(written(store)) == 10
 
 
 def test_a_killed_client_loses_no_result_and_doubles_none(tmp_path):
-    files, store = [write(tmp_path / f"{k:03d}.csv", k) for k in range(16)], tmp_path / "results"
+    files, store = [write(tmp_path / f"{k:03d}.csv", k) for k in range(8)], tmp_path / "results"
     code = f"""if True:
         import ph_control as phc
-        phc.fit_many({str(tmp_path / "*.csv")!r}, store={str(store)!r}, order=1, structure="lossless")
+        import time
+        wait = lambda told: told.done < 4 or time.sleep(600)
+        phc.fit_many({str(tmp_path / "*.csv")!r}, store={str(store)!r}, callback=wait, **{OPTIONS!r})
     """
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     with subprocess.Popen([sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": path}) as client:
-        while client.poll() is None and len(list(store.glob("*.json"))) < 3:
+        while client.poll() is None and len(list(store.glob("*.json"))) < 4:
             time.sleep(0.01)
         client.kill()
     before = {name: at for name, at in written(store).items() if name.endswith(".json")}
-    assert 3 <= len(before) < len(files)
+    assert len(before) == 4
     assert all(phc.load(store / name).order == 1 for name in before)
     fits = phc.fit_many(files, store=store, workers=2, **OPTIONS)
     after = written(store)
@@ -331,7 +332,7 @@ def crossing(outputs, recordings=200, noise=2e-4, missing=0.0, seed=0):
 
 @pytest.mark.parametrize("missing", [0.0, 0.1])
 def test_a_mode_that_drifts_and_the_one_it_crosses_are_both_followed(missing):
-    for seed in range(3):
+    for seed in range(2):
         fits, truth = crossing(3, missing=missing, seed=seed)
         tracks = fits.track()
         assert len(tracks) == 3
@@ -428,7 +429,7 @@ def test_the_command_writes_the_table_and_says_what_failed(files, tmp_path):
     pattern, lossless = str(tmp_path / "0?.csv"), ("--order", 1, "--structure", "lossless")
     done = shell("fit-many", pattern, *lossless, "--table", table, "--plot", picture, "--store", tmp_path / "results")
     assert done.status == 1 and "5 modes of 6 recordings, 1 failed" in done.out and "it must increase" in done.out
-    fits = phc.fit_many(files, **OPTIONS)
+    fits = phc.fit_many(files, order=1, structure="lossless")
     with open(table, newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["name"] for row in rows] == fits.table["name"].tolist()

@@ -12,7 +12,7 @@ from ph_control import margin, stability_margins
 from ph_control.analysis.margins import gain_crossings
 
 EPS = np.finfo(float).eps
-quick = settings(deadline=None, max_examples=30, derandomize=True)
+quick = settings(deadline=None, max_examples=15, derandomize=True)
 frequencies = st.lists(st.floats(0.01, 1000.0), min_size=1, max_size=8, unique_by=lambda d: round(np.log(d), 3))
 
 

@@ -11,7 +11,7 @@ from ph_control.identification.estimates.scaled_shapes import ModeShapes, shape_
 from ph_control.numerics.mode_shapes import Stability, aligned_shapes, mac, phase_collinearity, stable_poles
 
 EPS = np.finfo(float).eps
-quick = settings(deadline=None, max_examples=25, derandomize=True)
+quick = settings(deadline=None, max_examples=13, derandomize=True)
 
 
 def random_shapes(seed, n=4, p=6):

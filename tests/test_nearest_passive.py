@@ -1,25 +1,19 @@
 """The passive model next to another: passive by the exact test, poles kept, and no nearer one.
 
 The reference is the semidefinite program of the same problem, by CVXPY and Clarabel where they are installed
-(`benchmarks/semidefinite.py`), and else costs that `python -m benchmarks.semidefinite --stored` prints.
+(`passive_programs.py`), and else costs that `python -m benchmarks.semidefinite --stored` prints.
 """
-
-import sys
 
 import control as ct
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from passive_programs import KINDS, program, random_system
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.optimize import minimize
-from scripts import ROOT
 
 import ph_control as phc
-
-sys.path.insert(0, str(ROOT))  # the benchmarks are not installed with the package
-
-from benchmarks import semidefinite
 
 STORED = {
     0: 32170.79,
@@ -208,12 +202,12 @@ def test_refusals(system, keywords, match):
 
 
 def kind_of(seed):
-    return "scattering" if semidefinite.KINDS[seed % 4] == "scattering" else "immittance"
+    return "scattering" if KINDS[seed % 4] == "scattering" else "immittance"
 
 
 @pytest.mark.parametrize("seed", STORED)
 def test_the_cost_is_the_least_of_all_models_with_these_poles_and_inputs(seed):
-    system = semidefinite.random_system(seed)
+    system = random_system(seed)
     model = phc.nearest_passive(system, kind=kind_of(seed))
     assert phc.passivity(matrices(model), kind=kind_of(seed)).is_passive
     assert model.cost == pytest.approx(STORED[seed], rel=1e-6)
@@ -223,10 +217,10 @@ def test_the_cost_is_the_least_of_all_models_with_these_poles_and_inputs(seed):
 @pytest.mark.parametrize("seed", range(100, 116))
 def test_the_cost_is_that_of_a_semidefinite_program(seed):
     pytest.importorskip("cvxpy", reason="the semidefinite program needs the packages of the bench extra")
-    system = semidefinite.random_system(seed)
+    system = random_system(seed)
     model = phc.nearest_passive(system, kind=kind_of(seed))
     assert phc.passivity(matrices(model), kind=kind_of(seed)).is_passive
-    reference = semidefinite.program(system, kind_of(seed) == "scattering")
+    reference = program(system, kind_of(seed) == "scattering")
     assert model.cost == pytest.approx(reference, rel=1e-5, abs=1e-12 * squared_norm(system))
 
 

@@ -1,12 +1,11 @@
 """Circuits of systems have their transfer functions, and systems of circuits theirs.
 
-The reference is a nodal analysis in mpmath that reads the text (`benchmarks/netlists.py`), and where they are installed
+The reference is a nodal analysis in mpmath that reads the text (`nodal_analysis.py`), and where they are installed
 ngspice and the symbolic analysis of lcapy, which is not in the extra `test`: it brings twenty packages, even IPython.
 """
 
 import shutil
 import subprocess
-import sys
 
 import control as ct
 import mpmath
@@ -14,15 +13,11 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from scripts import ROOT
+from nodal_analysis import FORMS, KINDS, errors, nodal_response, random_one_port, round_trip
 
 import ph_control as phc
 
-sys.path.insert(0, str(ROOT))  # the benchmarks are not installed with the package
-
-from benchmarks.netlists import FORMS, KINDS, errors, nodal_response, random_one_port, round_trip
-
-SETTINGS = settings(deadline=None, max_examples=25, derandomize=True)
+SETTINGS = settings(deadline=None, max_examples=13, derandomize=True)
 EVERY = [(kind, form) for kind in KINDS for form in FORMS]
 RESONATOR = "resonator\nV1 1 0 AC 1\nR1 1 2 50\nL1 2 3 1m\nC1 3 0 10n\n.end\n"
 

@@ -12,7 +12,6 @@ import ph_control as phc
 
 TESTS = Path(__file__).resolve().parent
 PAGE = (TESTS.parent / "docs" / "paper.md").read_text(encoding="utf-8")
-PAPER = TESTS.parents[1] / "shared" / "paper" / "learnability-of-linear-port-hamiltonian-systems.tex"
 
 # what one counter in each section numbers, and what one counter through the paper numbers
 NUMBERED = {2: 4, 3: 10, 4: 20, 5: 4, 6: 1, 9: 1}
@@ -54,10 +53,11 @@ def test_every_numbered_item_and_equation_of_the_paper_has_a_row():
     assert equations == set(range(1, EQUATIONS + 1))
 
 
-def test_the_numbers_are_those_that_the_source_of_the_paper_gives():
-    if not PAPER.is_file():
-        pytest.skip(f"the source of the paper is not at {PAPER}")
-    text = re.sub(r"(?<!\\)%.*", "", PAPER.read_text(encoding="utf-8"))
+def test_the_numbers_are_those_that_the_source_of_the_paper_gives(data_folder):
+    paper = data_folder.parent / "paper" / "learnability-of-linear-port-hamiltonian-systems.tex"
+    if not paper.is_file():
+        pytest.skip(f"the source of the paper is not at {paper}")
+    text = re.sub(r"(?<!\\)%.*", "", paper.read_text(encoding="utf-8"))
     section, counts, equations = 0, {}, 0
     kinds = r"\\section\{|\\begin\{(theorem|proposition|lemma|definition|example|remark|equation|align|multline)\}"
     for match in re.finditer(kinds, text):

@@ -31,7 +31,7 @@ def converted(system, **options):
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=13, deadline=None, derandomize=True)
 @SEEDS
 def test_every_passive_system_has_an_exact_form(storage, seed):
     system, _ = passive_system(seed, states=12)
@@ -59,7 +59,7 @@ def test_seventy_states_that_hardly_lose_energy_at_rest_are_not_refused():
     assert form.nstates == 70 and measured(form, system)["transfer"] <= 1e-10
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=20, deadline=None, derandomize=True)
 @SEEDS
 def test_what_is_active_is_refused_with_the_bands_of_passivity(seed):
     poles, residues, D = drawn(np.random.default_rng(seed))

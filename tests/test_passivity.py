@@ -64,7 +64,7 @@ def indefinite(poles, residues, D, omega, scattering=False):
 
 
 @pytest.mark.parametrize("kind", ["immittance", "scattering"])
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**31))
 def test_bands_hold_all_and_only_what_a_fine_grid_shows(kind, seed):
     poles, residues, D = drawn(np.random.default_rng(seed))

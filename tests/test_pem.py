@@ -1,8 +1,7 @@
 """Prediction-error fitting: accuracy, order, uncertainty, verdicts."""
 
 import json
-from functools import partial
-from pathlib import Path
+from functools import cache, partial
 
 import control as ct
 import numpy as np
@@ -15,8 +14,6 @@ from hypothesis import strategies as st
 import ph_control as phc
 
 lossless_fit = partial(phc.pem, structure="lossless")
-
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 def record_of(d, r, *, samples=1000, h=0.1, snr=20.0, seed=0, method="exact", intersample="zoh", z0=None):
@@ -55,8 +52,7 @@ def paper_system(name):
     return J @ Q, B, B @ Q
 
 
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("name", ["circuit", "chain"])
+@pytest.mark.parametrize("name, seed", [("circuit", 0), ("circuit", 1), ("chain", 0)])
 @pytest.mark.parametrize("order", ["true", "auto"])
 def test_paper_experiments_are_continued_to_1e_8_over_the_next_4000_samples(name, order, seed):
     A, B, C = paper_system(name)
@@ -76,18 +72,17 @@ def test_paper_experiments_are_continued_to_1e_8_over_the_next_4000_samples(name
     assert np.allclose(result.modes.minimal().r, truth[1], rtol=1e-8)
 
 
-@pytest.mark.parametrize("signal", ["constant", "square", "ramp"])
-@pytest.mark.parametrize("seed", range(3))
-def test_circuit_learned_from_a_sine_predicts_other_inputs_to_1e_6(signal, seed):
+@pytest.mark.parametrize("seed", range(2))
+def test_circuit_learned_from_a_sine_predicts_other_inputs_to_1e_6(seed):
     A, B, C = paper_system("circuit")
     rng = np.random.default_rng(seed)
     t = 0.01 * np.arange(5000)
     sine = np.sin(t[:1000])
     result = phc.pem((sine, euler_recording(A, B, C, rng.standard_normal(10), sine)), order=5, dt=0.01, method="euler")
-    u = {"constant": np.ones(5000), "square": np.sign(np.sin(t) + 1e-12), "ramp": 0.1 * t}[signal]
-    y = euler_recording(A, B, C, np.zeros(10), u)
-    predicted = result.predict(u, initial_state="zero").outputs
-    assert np.abs(predicted - y).max() <= 1e-6 * np.abs(y).max()
+    for u in (np.ones(5000), np.sign(np.sin(t) + 1e-12), 0.1 * t):
+        y = euler_recording(A, B, C, np.zeros(10), u)
+        predicted = result.predict(u, initial_state="zero").outputs
+        assert np.abs(predicted - y).max() <= 1e-6 * np.abs(y).max()
 
 
 CHAIN_STATE = np.array([0.3, -0.2, 0.5, 0.1])
@@ -118,10 +113,10 @@ def test_another_input_of_the_same_length_shows_the_weights_to_the_cramer_rao_bo
     clean = phc.forced_response(chain, t, u, CHAIN_STATE, return_states=False, intersample="zoh").outputs
     size = phc.excitation((u, clean), chain, dt=0.01, noise_std=1e-3).stderr["r"]
     errors = []
-    for seed in range(40):
+    for seed in range(20):
         y = clean + 1e-3 * np.random.default_rng(seed).standard_normal(1000)
         errors.append((lossless_fit((u, y), 2, dt=0.01, **KNOWN).r - chain.r) / size)
-    # of 40 squares of normal numbers the mean is 1 within sqrt(2/40) = 0.22, three times
+    # of 20 squares of normal numbers the mean is 1 within sqrt(2/20) = 0.32, twice
     assert np.all(np.abs(np.mean(np.square(errors), axis=0) - 1.0) < 0.67)
     assert size.max() < 0.1 * chain.r.min()
 
@@ -149,11 +144,16 @@ def test_noise_free_record_gives_the_plant_and_its_state(method, intersample):
     assert "reproduced to rounding" in result.message
 
 
-@settings(deadline=None, max_examples=8, derandomize=True)
-@given(time=st.sampled_from([1e-9, 1e-3, 1.0, 1e9]), gain=st.sampled_from([1e-9, 1.0, 1e9]), seed=st.integers(0, 10))
-def test_units_of_time_and_output_do_not_change_the_answer(time, gain, seed):
+@cache
+def fit_of_two_modes(seed):
     _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3], samples=400, seed=seed)
-    reference = phc.pem((u, y), dt=0.1)
+    return u, y, phc.pem((u, y), dt=0.1)
+
+
+@settings(deadline=None, max_examples=6, derandomize=True)
+@given(time=st.sampled_from([1e-9, 1e-3, 1.0, 1e9]), gain=st.sampled_from([1e-9, 1.0, 1e9]), seed=st.integers(0, 1))
+def test_units_of_time_and_output_do_not_change_the_answer(time, gain, seed):
+    u, y, reference = fit_of_two_modes(seed)
     scaled = phc.pem((u, gain * y), dt=0.1 * time)
     assert scaled.order == reference.order
     assert np.allclose(scaled.d * time, reference.d, rtol=1e-9)
@@ -169,7 +169,7 @@ def test_units_of_time_and_output_do_not_change_the_answer(time, gain, seed):
     [(2, 1000, 20, 3), (5, 1000, 20, 3), (5, 2000, 10, 3), (10, 4000, 20, 3), (5, 1000, 20, 1.5)],
 )
 def test_random_plants_are_found_without_a_guess_within_4_standard_errors(n, samples, snr, bins):
-    for seed in range(8):
+    for seed in range(3):
         rng = np.random.default_rng([n, samples, seed])
         d = np.zeros(n)
         while np.diff(d, append=np.inf).min() < bins * 2 * np.pi / samples:
@@ -185,7 +185,7 @@ def test_standard_errors_are_those_of_repeated_noise():
     rng = np.random.default_rng(5)
     z0 = lossless_fit((u, clean), 2, dt=0.1).initial_state
     scores = []
-    for _ in range(60):
+    for _ in range(30):
         noisy = clean + 0.3 * np.std(clean) * rng.standard_normal(500)
         result = lossless_fit((u, noisy), 2, dt=0.1, **KNOWN)
         scores.append(
@@ -198,8 +198,8 @@ def test_standard_errors_are_those_of_repeated_noise():
             )
         )
     spread = np.mean(np.square(scores), axis=0)
-    # mean of 60 squared standard normal scores: 1 +- sqrt(2/60); 5 deviations either side
-    assert (np.abs(spread - 1) < 5 * np.sqrt(2 / 60)).all()
+    # mean of 30 squared standard normal scores: 1 +- sqrt(2/30); 3 deviations either side
+    assert (np.abs(spread - 1) < 3 * np.sqrt(2 / 30)).all()
 
 
 def test_noise_variance_and_likelihood_are_those_of_the_residuals():
@@ -218,7 +218,7 @@ def test_noise_variance_and_likelihood_are_those_of_the_residuals():
 
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_auto_finds_the_number_of_modes(n):
-    for seed in range(6):
+    for seed in range(3):
         rng = np.random.default_rng([n, seed])
         d = np.linspace(0.4, 2.7, n) + 0.1 * rng.uniform(-1, 1, n)
         _, u, y, _ = record_of(d, rng.uniform(0.5, 1.0, n) / d, h=1.0, seed=seed)
@@ -232,20 +232,19 @@ def test_auto_finds_the_number_of_modes(n):
 @pytest.mark.parametrize("outputs", [1, 2])
 def test_no_more_modes_than_the_largest_order_and_it_is_said(outputs):
     d = np.linspace(0.9, 11.0, 8)
-    for seed in range(2):
-        rng = np.random.default_rng([outputs, seed])
-        shapes = rng.uniform(0.5, 1.0, (8, outputs)) * np.sqrt(d)[:, None]
-        plant = phc.modes(d * (-0.012 + 1j), shapes, shapes[:, :1]).state_space()
-        u = rng.standard_normal((1, 1500))
-        y = ct.forced_response(ct.c2d(plant, 0.1), 0.1 * np.arange(1500), u, squeeze=False).outputs
-        y = y + 0.02 * np.std(y, axis=1, keepdims=True) * rng.standard_normal(y.shape)
-        result = phc.pem((u, y), dt=0.1, max_order=4)
-        assert result.order == 4
-        assert [f.values for f in result.findings if f.cause.name == "LARGEST_ORDER"] == [(4.0,)]
+    rng = np.random.default_rng([outputs, 0])
+    shapes = rng.uniform(0.5, 1.0, (8, outputs)) * np.sqrt(d)[:, None]
+    plant = phc.modes(d * (-0.012 + 1j), shapes, shapes[:, :1]).state_space()
+    u = rng.standard_normal((1, 1000))
+    y = ct.forced_response(ct.c2d(plant, 0.1), 0.1 * np.arange(1000), u, squeeze=False).outputs
+    y = y + 0.02 * np.std(y, axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    result = phc.pem((u, y), dt=0.1, max_order=4, **KNOWN)
+    assert result.order == 4
+    assert [f.values for f in result.findings if f.cause.name == "LARGEST_ORDER"] == [(4.0,)]
 
 
 def test_auto_finds_nothing_in_noise():
-    for seed in range(6):
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         result = phc.pem((rng.standard_normal(800), rng.standard_normal(800)), dt=1.0)
         assert result.order == 0
@@ -258,11 +257,9 @@ def test_auto_finds_nothing_in_noise():
 
 
 @pytest.fixture(scope="module")
-def lund_modes():
+def lund_modes(data_folder):
     """The eight modes with the largest residue below 40 Hz for force and velocity at the first degree of freedom."""
-    folder = DATA / "structures"
-    if not folder.exists():
-        pytest.skip("the third-party matrices are not beside the project")
+    folder = data_folder / "structures"
     K, M = (scipy.io.mmread(folder / f"lund_{kind}.mtx").toarray() for kind in ("stiffness", "mass"))
     squared, shapes = scipy.linalg.eigh(K, M)
     d, kappa = np.sqrt(squared), shapes[0] ** 2
@@ -271,21 +268,17 @@ def lund_modes():
     return d[chosen], kappa[chosen] / d[chosen]
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_eight_modes_of_a_structure_are_found_to_1e_4(lund_modes, seed):
+def test_eight_modes_of_a_structure_are_found_to_1e_4(lund_modes):
     d, r = lund_modes
-    _, u, y, _ = record_of(d, r, samples=8192, h=1 / 128, seed=seed, z0=np.zeros(16))
+    _, u, y, _ = record_of(d, r, samples=8192, h=1 / 128, z0=np.zeros(16))
     result = phc.pem((u, y), dt=1 / 128)
     assert result.order == 8
     assert np.abs(result.d / d - 1).max() < 1e-4
 
 
-def test_recording_of_a_robot_arm_is_not_flattered():
-    path = DATA / "measured" / "robot_arm.dat"
-    if not path.exists():
-        pytest.skip("the third-party recordings are not beside the project")
-    torque, acceleration = np.loadtxt(path, unpack=True)
-    result = lossless_fit((torque, acceleration), dt=1.0)
+def test_recording_of_a_robot_arm_is_not_flattered(data_folder):
+    torque, acceleration = np.loadtxt(data_folder / "measured" / "robot_arm.dat", unpack=True)
+    result = lossless_fit((torque, acceleration), dt=1.0, max_order=4)
     assert result.fit_percent < 90 and result.outcome.name == "NOT_DESCRIBED"
     text = " ".join(result.summary().split())
     assert "they reject 'lossless'" in text
@@ -341,13 +334,12 @@ def test_missing_outputs_are_left_out():
     assert "100 values missing" in result.summary()
 
 
-@pytest.mark.parametrize("order", [2, "auto"])
-@pytest.mark.parametrize("samples", [1000, 3000, 17_000])
+@pytest.mark.parametrize("samples, order", [(1000, "auto"), (3000, 2), (17_000, 2)])
 def test_a_large_constant_of_the_sensor_changes_nothing_where_an_offset_is_fitted(samples, order):
     d, r = np.array([1.0, 2.5]), np.array([0.3, 0.2])
     _, u, y, deviation = record_of(d, r, samples=samples, h=0.2, snr=30.0)
     plain = phc.pem((u, y), order, dt=0.2, offset=True)
-    for size in (1.0, 1e3, 1e6):
+    for size in (1e3, 1e6):
         constant = size * np.std(y)
         shifted = phc.pem((u, y + constant), order, dt=0.2, offset=True)
         assert np.abs(shifted.d - d).max() <= 5 * shifted.stderr["d"].max()
@@ -594,7 +586,7 @@ def multisine(samples, lines, seed):
     return np.cos(phases).sum(axis=1)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_lines_of_the_input_are_not_taken_for_modes(seed):
     rng = np.random.default_rng(seed)
     d, u = rng.uniform(0.3, 2.9), multisine(500, 10, seed)

@@ -1,10 +1,9 @@
 """Prediction-error fitting of every kind of data in time: experiments, gaps, free motions, sensors, offsets."""
 
 import json
-import subprocess
-import sys
+import tracemalloc
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from functools import cache, partial
 
 import control as ct
 import numpy as np
@@ -116,8 +115,7 @@ def test_several_experiments_have_the_optimum_of_the_dense_joint_problem(quantit
     assert result.success and len(result.experiments) == 3
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.2])
-@pytest.mark.parametrize("order", [[2, 0, 1], [1, 2, 0]])
+@pytest.mark.parametrize("noise, order", [(0.0, [2, 0, 1]), (0.2, [1, 2, 0])])
 def test_order_of_the_experiments_does_not_matter(order, noise):
     experiments, steps, _ = three(noise)
     one = lossless_fit(experiments, 3, dt=steps)
@@ -149,21 +147,26 @@ def test_a_noisy_record_split_in_two_has_two_states_to_estimate():
     assert parts.loss < whole.loss and (parts.stderr["d"] > whole.stderr["d"]).all()
 
 
-@settings(deadline=None, max_examples=8, derandomize=True)
+@cache
+def fit_of(quantity):
+    u, y, _, _ = recording(400, noise=0.1, quantity=quantity)
+    return u, y, lossless_fit((u, y), 3, dt=0.1, quantity=quantity, **KNOWN)
+
+
+@settings(deadline=None, max_examples=6, derandomize=True)
 @given(
     time=st.sampled_from([1e-9, 3e-4, 1.0, 1e9]), given_=st.sampled_from([1e-9, 1.0, 1e6]),
     measured=st.sampled_from([1e-9, 1.0, 1e9]), quantity=st.sampled_from(QUANTITIES), shift=st.floats(-1e6, 1e6),
 )  # fmt: skip
 def test_units_and_the_origin_of_time_do_not_matter(time, given_, measured, quantity, shift):
-    u, y, _, _ = recording(400, noise=0.1, quantity=quantity)
-    plain = lossless_fit((u, y), 3, dt=0.1, quantity=quantity)
-    scaled = lossless_fit((given_ * u, measured * y), 3, dt=0.1 * time, quantity=quantity)
+    u, y, plain = fit_of(quantity)
+    scaled = lossless_fit((given_ * u, measured * y), 3, dt=0.1 * time, quantity=quantity, **KNOWN)
     unit = measured / given_ * time ** {"velocity": 0, "displacement": -1, "acceleration": 1}[quantity]
     for values, others in [(plain.d, scaled.d * time), (plain.r, scaled.r / unit)]:
         assert np.allclose(values, others, rtol=1e3 * EPS, atol=0)
     assert np.allclose(plain.stderr["r"], scaled.stderr["r"] / unit, rtol=1e-9, atol=0)
     moved = ct.TimeResponseData(shift + 0.1 * np.arange(400), y, inputs=u, issiso=True)
-    there = lossless_fit(moved, 3, quantity=quantity)
+    there = lossless_fit(moved, 3, quantity=quantity, **KNOWN)
     assert np.array_equal(there.d, plain.d) and np.array_equal(there.r, plain.r)
 
 
@@ -171,7 +174,7 @@ def test_answer_is_the_same_bit_by_bit_for_any_number_of_workers():
     # residues of the wrong sign leave so much that further starts are made
     u, y, _, _ = recording(300, noise=0.05)
     with ThreadPoolExecutor(3) as pool:
-        found = [lossless_fit((u, -y), 3, dt=0.1, rng=7, workers=w) for w in (1, 2, 4, map, pool.map)]
+        found = [lossless_fit((u, -y), 3, dt=0.1, rng=7, workers=w) for w in (1, 2, pool.map)]
     for other in found[1:]:
         assert other.summary() == found[0].summary()
         for name in ("d", "r", "initial_state", "covariance", "predicted"):
@@ -213,7 +216,7 @@ def free_record(samples, seed, noise, d=D, h=0.1):
 
 
 def test_free_motions_are_learned_to_the_cramer_rao_bound():
-    samples, noise, h, seeds = 300, 0.2, 0.1, 60
+    samples, noise, h, seeds = 300, 0.2, 0.1, 30
     _, amplitudes = free_record(samples, 0, 0.0)
     t = h * np.arange(samples)
     turning = np.exp(-1j * D[:, None] * t)
@@ -230,7 +233,7 @@ def test_free_motions_are_learned_to_the_cramer_rao_bound():
         stated.append(result.stderr["d"] / bound[:3])
     mean_square = np.mean(np.square(errors))
     # nine parameters, of which a mode's three hang together
-    assert 1 - 4 * np.sqrt(2 / seeds / 5) < mean_square < 1 + 4 * np.sqrt(2 / seeds / 5)
+    assert 1 - 3 * np.sqrt(2 / seeds / 5) < mean_square < 1 + 3 * np.sqrt(2 / seeds / 5)
     assert np.allclose(np.mean(stated, axis=0), 1.0, atol=0.05)
 
 
@@ -313,15 +316,14 @@ def test_wrong_sensor_is_not_called_consistent(quantity):
 
 
 def test_each_experiment_has_an_offset_of_its_own_with_its_error():
-    seeds, constants, errors = 30, (5.0, -2.0), []
+    seeds, constants, errors = 12, (5.0, -2.0), []
     for seed in range(seeds):
         experiments = [
-            recording(T, seed=2 * seed + k, noise=0.2, offset=constants[k])[:2] for k, T in enumerate((300, 200))
+            recording(T, seed=2 * seed + k, noise=0.2, offset=constants[k])[:2] for k, T in enumerate((200, 150))
         ]
         result = lossless_fit(experiments, 3, dt=0.1, offset=True, initial_guess=(D, R), **KNOWN)
         errors.append((result.offsets - constants) / result.stderr["offset"])
-    mean_square = np.mean(np.square(errors), axis=0)
-    assert (np.abs(mean_square - 1) <= 4 * np.sqrt(2 / seeds)).all()
+    assert abs(np.mean(np.square(errors)) - 1) <= 3 * np.sqrt(2 / seeds / 2)
     without = lossless_fit(experiments, 3, dt=0.1, offset=False)
     assert (without.offsets == 0).all() and np.isnan(without.stderr["offset"]).all()
 
@@ -358,8 +360,10 @@ def test_wrong_guesses_are_refused(guess, options, message):
         phc.pem((u, y), **{"order": 3, "dt": 0.1, "initial_guess": guess, **options})
 
 
-@pytest.mark.parametrize("criterion", ["bic", "aicc", "aic", "holdout"])
-@pytest.mark.parametrize("kind", ["driven", "free", "experiments"])
+@pytest.mark.parametrize(
+    "criterion, kind",
+    [("bic", "driven"), ("aicc", "free"), ("aic", "experiments"), ("holdout", "driven"), ("holdout", "experiments")],
+)
 def test_every_criterion_finds_the_order(criterion, kind):
     if kind == "free":
         data = (None, free_record(500, 1, 0.1)[0])
@@ -373,7 +377,7 @@ def test_every_criterion_finds_the_order(criterion, kind):
 @pytest.mark.parametrize("kind", ["driven", "free"])
 def test_nothing_is_found_in_noise(kind):
     found = []
-    for seed in range(25):
+    for seed in range(12):
         u, y = np.random.default_rng(seed).standard_normal((2, 500))
         result = phc.pem((u, y) if kind == "driven" else (None, y), dt=0.1, max_order=5)
         found.append(result.order)
@@ -385,8 +389,9 @@ def test_nothing_is_found_in_noise(kind):
 # --- interruption ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("error", [StopIteration, KeyboardInterrupt])
-@pytest.mark.parametrize("order, sign", [(3, 1), ("auto", 1), (3, -1)])
+@pytest.mark.parametrize(
+    "order, sign, error", [(3, 1, StopIteration), ("auto", 1, KeyboardInterrupt), (3, -1, StopIteration)]
+)
 def test_an_interrupted_fit_gives_the_best_so_far_and_says_so(order, sign, error):
     u, y, _, _ = recording(250, noise=0.1)
     calls, losses = 0, []
@@ -400,7 +405,7 @@ def test_an_interrupted_fit_gives_the_best_so_far_and_says_so(order, sign, error
     allowed = np.inf
     whole = phc.pem((u, sign * y), order, dt=0.1, callback=callback)
     total, allowed = calls, 0
-    for allowed in [0, 1, 2, 4, 7, total - 1]:
+    for allowed in [0, 2, total - 1]:
         calls = 0
         result = phc.pem((u, sign * y), order, dt=0.1, callback=callback)
         assert calls == allowed + 1, "no call after the one that ended the fit"
@@ -471,38 +476,23 @@ def test_long_records_with_missing_outputs_give_what_complete_ones_give():
     assert (result.stderr["d"] < 1.15 * whole.stderr["d"]).all()
 
 
-_MEMORY = """
-import sys, resource, tracemalloc
-import numpy as np, ph_control as phc
-samples, folder = int(sys.argv[1]), sys.argv[2]
-d, r = np.linspace(0.5, 9.5, 10), np.full(10, 0.3)
-u = np.lib.format.open_memmap(folder + "/u.npy", "w+", float, (samples,))
-y = np.lib.format.open_memmap(folder + "/y.npy", "w+", float, (samples,))
-rng = np.random.default_rng(0)
-u[:] = rng.standard_normal(samples)
-plant, t = phc.ph(phc.modes(d, r)), 0.1 * np.arange(samples)
-y[:] = phc.forced_response(plant, t, u, return_states=False, intersample="zoh").outputs
-y += 0.1 * rng.standard_normal(samples)
-del u, y, t
-tracemalloc.start()
-u, y = (np.load(f"{folder}/{name}.npy", mmap_mode="r") for name in "uy")
-result = phc.pem((u, y), 10, dt=0.1)
-assert np.abs(result.d - d).max() < 1e-3, result.d
-print(tracemalloc.get_traced_memory()[1])
-"""
-
-
 def test_memory_does_not_grow_with_samples_times_modes(tmp_path):
-    peaks = {}
-    for samples in (40_000, 160_000):
-        run = subprocess.run(
-            [sys.executable, "-c", _MEMORY, str(samples), str(tmp_path)], capture_output=True, text=True, check=False
-        )
-        assert run.returncode == 0, run.stderr
-        peaks[samples] = int(run.stdout)
+    d, r, peaks = np.linspace(0.5, 9.5, 10), np.full(10, 0.3), {}
+    for samples in (80_000, 120_000):  # below, the blocks that are looked at at a time take the whole
+        u, y, _, _ = recording(samples, noise=0.1, d=d, r=r)
+        for name, values in (("u", u), ("y", y)):
+            np.save(tmp_path / f"{name}.npy", values)
+        del u, y
+        tracemalloc.start()
+        u, y = (np.load(tmp_path / f"{name}.npy", mmap_mode="r") for name in "uy")
+        result = lossless_fit((u, y), 10, dt=0.1, **KNOWN)
+        peaks[samples] = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert np.abs(result.d - d).max() < 1e-3
+        del u, y, result
     # ten modes have forty columns of doubles: one array of them would be 320 bytes a sample, and the fit has a few
     # arrays of its length: time, mask, signals in the scale of the noise, transforms and predictions
-    assert (peaks[160_000] - peaks[40_000]) / 120_000 < 280
+    assert (peaks[120_000] - peaks[80_000]) / 40_000 < 280
 
 
 # --- on disk and on paper -------------------------------------------------------------------------------------------

@@ -380,7 +380,7 @@ def test_the_test_of_white_residuals_keeps_its_level_where_the_noise_was_fitted(
     rng, p_values = np.random.default_rng(11), []
     u = rng.standard_normal((1, 300))
     clean = simulated(phc.ph(phc.modes(1.0, 1.0, damping=0.05)), u)[0]
-    for _ in range(12):
+    for _ in range(8):
         fit = phc.pem((u[0], clean + 0.3 * autoregression(rng, 300, 0.8)), 1, dt=STEP, structure="free", delay=0)
         p_values.append(phc.residual_analysis(fit.record, fit, lags=8).whiteness)
     assert min(p_values) > 1e-3 and sum(p < 0.5 for p in p_values) >= 2

@@ -15,7 +15,7 @@ from ph_control.modal.error_bounds import separate
 from ph_control.modal.minimal import Reduction, minimal_of_exact, of_exact, of_matrix
 from ph_control.symplectic.forms_and_williamson import port_spectrum
 
-relaxed = settings(deadline=None, max_examples=60, derandomize=True)
+relaxed = settings(deadline=None, max_examples=30, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 
 

@@ -7,22 +7,17 @@ which reads the text itself.
 import re
 import shutil
 import subprocess
-import sys
 
 import mpmath
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scripts import ROOT
+from nodal_analysis import nodal_response
 
 import ph_control as phc
 
-sys.path.insert(0, str(ROOT))  # the benchmarks are not installed with the package
-
-from benchmarks.netlists import nodal_response
-
-SETTINGS = settings(deadline=None, max_examples=30, derandomize=True)
+SETTINGS = settings(deadline=None, max_examples=15, derandomize=True)
 
 
 POWERS = {"meg": 6, "k": 3, "m": -3, "u": -6, "n": -9, "p": -12}

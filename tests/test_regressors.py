@@ -76,7 +76,7 @@ def test_slopes_are_the_derivatives_of_the_columns(method, intersample, turn, bl
     assert np.abs(slope).max() > 1e2 * allowed
 
 
-@settings(deadline=None, max_examples=30, derandomize=True)
+@settings(deadline=None, max_examples=15, derandomize=True)
 @given(phase=st.floats(1e-6, 1.5), h=st.floats(1e-9, 1e9), method=st.sampled_from(["exact", "midpoint", "euler"]))
 def test_frequency_of_a_phase_turns_a_mode_by_that_phase(phase, h, method):
     hold = Hold(h, method)

@@ -14,7 +14,7 @@ from reference import EPS, dense_matrices, dense_simulation, random_hamiltonian,
 
 import ph_control as phc
 
-relaxed = settings(deadline=None, max_examples=25, derandomize=True)
+relaxed = settings(deadline=None, max_examples=13, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 
 RULES = [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import control as ct
 import numpy as np
 import pytest
@@ -13,7 +11,6 @@ import ph_control as phc
 OMEGA = np.linspace(0.5, 20.0, 420)
 MODES = ((1.0, 0.01, 5.0), (2.0, 0.02, 9.0), (0.7, 0.005, 14.0))  # residues, damping ratios, natural frequencies
 POWERS = {"displacement": 0, "velocity": 1, "acceleration": 2}
-IMPEDANCES = Path(__file__).parents[2] / "shared" / "data" / "impedance"
 
 
 def modal(s, power=1, modes=MODES):
@@ -31,8 +28,9 @@ def measured(values, omega=OMEGA):
     return ct.frd(values, omega, smooth=False)
 
 
-@pytest.mark.parametrize("quantity", POWERS)
-@pytest.mark.parametrize("constant", [0.0, 0.3 + 0.2j])
+@pytest.mark.parametrize(
+    "quantity, constant", [("displacement", 0.3 + 0.2j), ("velocity", 0.0), ("acceleration", 0.3 + 0.2j)]
+)
 def test_a_complex_constant_and_slope_are_no_modes(quantity, constant):
     s, power = 1j * OMEGA, POWERS[quantity]
     modes, slope = modal(s, power), 0.03
@@ -79,7 +77,7 @@ def test_modes_outside_the_band_leave_residual_terms(quantity, lower, upper):
 def test_files_and_pictures_have_the_background(tmp_path):
     s = 1j * OMEGA
     response = noisy(np.stack([modal(s) + 0.4 * s, 0.1j + modal(s)]), 0.003)[:, None]
-    result = phc.pem(measured(response), weights=np.ones(response.shape))
+    result = phc.pem(measured(response), 3, weights=np.ones(response.shape), structure="classical")
     result.save(tmp_path / "fit.json")
     again = phc.load(tmp_path / "fit.json")
     assert np.array_equal(again.background.coefficients, result.background.coefficients)
@@ -122,7 +120,7 @@ def test_terms_that_are_not_there_have_no_value_at_any_frequency():
 
 
 @pytest.mark.parametrize("zeta", [0.0, 0.02])
-@pytest.mark.parametrize("lines", [12, 16, 24])
+@pytest.mark.parametrize("lines", [12, 24])
 @pytest.mark.parametrize("order", [0, 2, 3])
 def test_few_lines_show_modes_with_one_number_each(zeta, lines, order):
     omega = np.linspace(0.3, 4.6, lines)
@@ -140,8 +138,7 @@ def test_few_lines_show_modes_with_one_number_each(zeta, lines, order):
         assert np.allclose(result.residues[:, 0, 0] / (p / (2j * p.imag)), [one[0] for one in modes], rtol=0.1)
 
 
-@pytest.mark.parametrize("line", [0, 77, 300])
-@pytest.mark.parametrize("size", [100.0, 1e7])
+@pytest.mark.parametrize("line, size", [(0, 1e7), (77, 1e7), (300, 100.0)])
 def test_a_wild_line_is_named_and_hides_no_mode(line, size):
     omega = OMEGA - OMEGA[0]
     response = noisy(np.stack([modal(1j * omega, 0), 0.4 * modal(1j * omega, 0)]))[:, None]
@@ -152,10 +149,9 @@ def test_a_wild_line_is_named_and_hides_no_mode(line, size):
     assert result.order == 3 and np.allclose(result.natural_frequencies, [5.0, 9.0, 14.0], rtol=1e-3)
 
 
-@pytest.mark.parametrize("distance", [1e-3, 1e-2])
-def test_a_resonance_next_to_a_line_is_not_wild(distance):
+def test_a_resonance_next_to_a_line_is_not_wild():
     omega = np.linspace(0.05, 3.2, 150)
-    d = np.array([omega[40] + distance * (omega[1] - omega[0]), 1.7, 2.5])
+    d = np.array([omega[40] + 1e-3 * (omega[1] - omega[0]), 1.7, 2.5])
     exact = modal(1j * omega, modes=[(a, 0.0, one) for a, one in zip((0.5, 0.8, 0.4), d, strict=True)])
     rng = np.random.default_rng(1)
     response = exact + 1e-3 * np.abs(exact) * (rng.standard_normal(150) + 1j * rng.standard_normal(150))
@@ -185,10 +181,8 @@ def test_an_impedance_of_two_cells_has_their_elements():
 
 
 @pytest.mark.parametrize("number, resistances", [(2, (150.0, 503.0)), (3, (1504.0, 4633.0))])
-def test_measured_test_circuits_are_passive_models_of_real_poles(number, resistances):
-    path = IMPEDANCES / f"Circuit{number}_EIS_1.z"
-    if not path.exists():
-        pytest.skip("the measured impedances are not beside the project")
+def test_measured_test_circuits_are_passive_models_of_real_poles(data_folder, number, resistances):
+    path = data_folder / "impedance" / f"Circuit{number}_EIS_1.z"
     rows = [line.split() for line in path.read_text(errors="replace").splitlines()]
     table = np.array([[float(one.strip(",")) for one in row] for row in rows if len(row) == 9 and _is_number(row[0])])
     table = table[np.argsort(table[:, 0])]

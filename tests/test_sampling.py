@@ -10,7 +10,7 @@ from reference import EPS, dense_step, random_hamiltonian, symplectic_form
 
 import ph_control as phc
 
-relaxed = settings(deadline=None, max_examples=25, derandomize=True)
+relaxed = settings(deadline=None, max_examples=13, derandomize=True)
 RULES = [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]
 SPECTRA = {
     "decade": lambda n: np.logspace(0, 1, n),

@@ -29,7 +29,7 @@ from hypothesis import strategies as st
 import ph_control as phc
 from ph_control import FileFormatError, OutputExistsError, PHControlError, StructureError, load, save
 
-property_test = settings(deadline=None, max_examples=40, derandomize=True)
+property_test = settings(deadline=None, max_examples=20, derandomize=True)
 
 
 def assert_same_bits(first, second):
@@ -756,7 +756,7 @@ def loads_the_same_or_refuses(obj, content, folder):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@settings(deadline=None, max_examples=120, derandomize=True)
+@settings(deadline=None, max_examples=60, derandomize=True)
 @given(data=st.data())
 def test_damaged_bytes_give_the_same_object_or_a_refusal(tmp_path_factory, kind, data):
     content = written(kind)
@@ -788,7 +788,7 @@ anything = st.recursive(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@settings(deadline=None, max_examples=120, derandomize=True)
+@settings(deadline=None, max_examples=60, derandomize=True)
 @given(data=st.data())
 def test_any_other_value_anywhere_gives_a_valid_model_or_a_refusal_also_without_checksum(tmp_path_factory, kind, data):
     document = json.loads(written(kind))

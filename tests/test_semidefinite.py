@@ -13,7 +13,7 @@ from reference import EPS, dense_matrices, dense_transfer_function, random_sympl
 import ph_control as phc
 from ph_control import semidefinite_coefficients, williamson_semidefinite
 
-quick = settings(deadline=None, max_examples=80, derandomize=True)
+quick = settings(deadline=None, max_examples=40, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 
 

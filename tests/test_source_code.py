@@ -13,7 +13,7 @@ from scipy import signal
 
 import ph_control as phc
 
-SETTINGS = settings(deadline=None, max_examples=20, derandomize=True)
+SETTINGS = settings(deadline=None, max_examples=10, derandomize=True)
 COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
 compiled = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler: cc, gcc or clang")
 

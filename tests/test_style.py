@@ -44,8 +44,19 @@ def balance():
     return phc.energy_balance(phc.forced_response(plants()[0], t, np.sin(t)), plants()[0])
 
 
+@functools.cache
 def residuals(data):
-    return phc.residual_analysis(data, plants()[0])
+    return phc.residual_analysis(data(), plants()[0])
+
+
+@functools.cache
+def comparison(data):
+    return phc.compare(data(), *plants())
+
+
+@functools.cache
+def orders():
+    return phc.order_selection(record(), 2)
 
 
 @functools.cache
@@ -63,17 +74,17 @@ PICTURES = {
     "plane": (lambda **k: phc.pole_zero_plot(plants(), **k), (1, 1)),
     "energy": (lambda **k: phc.energy_plot(balance(), **k), (2, 1)),
     "fit": (lambda **k: phc.fit_plot(fitted(), detail=[5.0, 15.0], **k), (3, 1)),
-    "comparison": (lambda **k: phc.compare_plot(phc.compare(record(), *plants()), detail=[5.0, 15.0], **k), (3, 1)),
-    "comparison of responses": (lambda **k: phc.compare_plot(phc.compare(response(), *plants()), **k), (3, 1)),
-    "residuals": (lambda **k: phc.residual_plot(residuals(record()), **k), (2, 1)),
-    "residual response": (lambda **k: phc.residual_plot(residuals(response()), **k), (2, 1)),
+    "comparison": (lambda **k: phc.compare_plot(comparison(record), detail=[5.0, 15.0], **k), (3, 1)),
+    "comparison of responses": (lambda **k: phc.compare_plot(comparison(response), **k), (3, 1)),
+    "residuals": (lambda **k: phc.residual_plot(residuals(record), **k), (2, 1)),
+    "residual response": (lambda **k: phc.residual_plot(residuals(response), **k), (2, 1)),
     "responses": (lambda **k: phc.frf_plot(fitted(), segments=2, **k), (2, 1)),
     "nyquist": (lambda **k: phc.nyquist_plot(structure(), ct.frd(structure(), np.arange(1.0, 90.0)), **k), (1, 2)),
     "circles": (lambda **k: phc.circle_plot(structure(), ct.frd(structure(), np.arange(1.0, 90.0)), **k), (1, 2)),
     "shapes": (lambda **k: phc.shape_plot(np.array([[1.0, 0.5j, 0.3], [1.0, 0.2, -1.0]]), **k), (1, 2)),
     "stabilisation": (lambda **k: phc.stabilisation_plot([[1j], [1j, -1 + 2j]], chosen=2, **k), (1, 1)),
     "residuals of a fit": (lambda **k: phc.residual_plot(fitted(), **k), (1, 1)),
-    "order": (lambda **k: phc.order_plot(phc.order_selection(record(), 3), **k), (1, 2)),
+    "order": (lambda **k: phc.order_plot(orders(), **k), (1, 2)),
 }
 all_pictures = pytest.mark.parametrize("picture, shape", PICTURES.values(), ids=PICTURES)
 
@@ -152,9 +163,9 @@ def same_picture(one, other):
     [
         (phc.energy_plot, balance),
         (phc.fit_plot, fitted),
-        (phc.compare_plot, lambda: phc.compare(record(), *plants())),
-        (phc.residual_plot, lambda: residuals(record())),
-        (phc.order_plot, lambda: phc.order_selection(record(), 2)),
+        (phc.compare_plot, lambda: comparison(record)),
+        (phc.residual_plot, lambda: residuals(record)),
+        (phc.order_plot, orders),
     ],
     ids=["energy", "fit", "comparison", "residuals", "order"],
 )

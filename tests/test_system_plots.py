@@ -28,7 +28,7 @@ from ph_control.plotting.mode_plot import PoleZeroMap, pole_zero_map, strips
 from ph_control.plotting.time_plot import response_of, transient_data
 
 EPS = np.finfo(float).eps
-quick = settings(deadline=None, max_examples=20, derandomize=True)
+quick = settings(deadline=None, max_examples=10, derandomize=True)
 frequencies = st.lists(st.floats(0.01, 1000.0), min_size=1, max_size=6, unique=True)
 PLOTS = {"step": step_plot, "impulse": impulse_plot}
 RESPONSES = {"step": phc.step_response, "impulse": phc.impulse_response}

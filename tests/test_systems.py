@@ -17,7 +17,7 @@ import ph_control as phc
 EPS = ref.EPS
 PH, SS, TF = phc.PortHamiltonian, ct.StateSpace, ct.TransferFunction
 LOSSY = phc.DissipativePortHamiltonian
-SETTINGS = settings(deadline=None, max_examples=40, derandomize=True)
+SETTINGS = settings(deadline=None, max_examples=20, derandomize=True)
 
 
 def one_port(**names):

@@ -12,7 +12,7 @@ from reference import EPS
 from ph_control.numerics import double_double as tf
 
 numbers = st.floats(-1e60, 1e60).map(lambda x: x if abs(x) > 1e-60 else 1.0)
-relaxed = settings(deadline=None, max_examples=100, derandomize=True)
+relaxed = settings(deadline=None, max_examples=50, derandomize=True)
 
 # about 106 bits, less the few that the operations cost
 TWICE = 16 * EPS**2

@@ -16,7 +16,7 @@ from ph_control import StructureError, compare, order_selection, residual_analys
 
 EPS = np.finfo(float).eps
 STEP = 0.1
-quick = settings(deadline=None, max_examples=20, derandomize=True)
+quick = settings(deadline=None, max_examples=10, derandomize=True)
 
 
 def plant(name="plant"):
@@ -304,7 +304,7 @@ def colour(rng, samples, pole):
 def test_p_values_of_a_fit_to_its_own_short_record_are_uniform():
     """8 parameters are fitted to 100 samples: without the correction Ljung and Box reject twice too often or more."""
     p_values = []
-    for seed in range(80):
+    for seed in range(40):
         rng = np.random.default_rng([8, seed])
         u = rng.standard_normal(100)
         y = phc.forced_response(
@@ -318,8 +318,8 @@ def test_p_values_of_a_fit_to_its_own_short_record_are_uniform():
             [analysis.whiteness, analysis.offset_p_value, analysis.response_p_value, analysis.feedback_p_value]
         )
     for column in np.array(p_values).T:
-        assert kstest(column, "uniform").statistic * np.sqrt(80) < KOLMOGOROV
-        assert np.sum(column < 0.05) <= binom.isf(1e-3, 80, 0.05)
+        assert kstest(column, "uniform").statistic * np.sqrt(40) < KOLMOGOROV
+        assert np.sum(column < 0.05) <= binom.isf(1e-3, 40, 0.05)
 
 
 # --- residuals: findings ---------------------------------------------------------------------------------------------
