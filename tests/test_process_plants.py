@@ -4,6 +4,7 @@ The references are recursions of `scipy.signal.lfilter`, whose poles and autoreg
 """
 
 import numpy as np
+import pytest
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
