@@ -470,3 +470,10 @@ def test_a_sampled_system_with_repeated_poles_and_losses_is_refused_by_name():
     system = phc.ph(phc.modes(1.0, 1.0, damping=1.0))
     with pytest.raises(phc.StructureError, match="repeated poles"):
         phc.ph(phc.sample(system, 0.2), method="exact")
+
+
+def test_a_floating_damped_structure_keeps_its_losses_without_its_position():
+    sys = phc.spring_chain([1.0, 3.0], 5.0, c=0.2, port=[0, 1])
+    small, s = phc.minreal(sys), np.array([0.3j, 2.0j, 0.5 + 1j])
+    assert small.nstates == 3
+    np.testing.assert_allclose(small(s), sys(s), rtol=1e-12)

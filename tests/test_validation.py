@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
-from scipy.stats import binom, kstest
+from scipy.stats import binom, kstest, norm
 
 import ph_control as phc
 from ph_control import StructureError, compare, order_selection, residual_analysis
@@ -615,3 +615,11 @@ def test_dollar_signs_in_names_are_drawn_as_they_are():
     plot.figure.canvas.draw()
     assert r"\$a\$" in legend_texts(plot.axes[0, 0])[1]
     assert plot.axes[0, 0].get_ylabel() == r"\$c\$ [\$d\$]"
+
+
+def test_bands_of_a_correlation_are_quantiles_of_its_law():
+    u, y = recording(noise=0.1, samples=500, z0=np.zeros(plant().nstates))
+    analysis = residual_analysis((u, y), plant(), dt=STEP, initial_state="zero")
+    k, T = np.arange(1, len(analysis.autocorrelation) + 1), 500
+    expected = norm.isf(0.005) * np.sqrt((T - k) / (T * (T + 2))) * T / (T - k)
+    np.testing.assert_allclose(analysis.autocorrelation_band, expected, rtol=1e-6)
