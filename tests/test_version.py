@@ -34,6 +34,15 @@ def test_this_is_the_newest_release_or_a_development_version_after_it():
         assert stated("CHANGELOG.md", r"^## \[(.*?)\]")[:1] == ["Unreleased"]
 
 
+def test_the_recipe_is_of_this_version_and_needs_what_the_package_does():
+    assert stated("conda/meta.yaml", r'^\{% set version = "(.+)" %\}$') == VERSION
+    (needed,) = stated("pyproject.toml", r"^dependencies = \[(.+)\]$")
+    ours = {name.replace(">=", " >=") for name in re.findall(r'"([^"]+)"', needed)}
+    recipe = (ROOT / "conda/meta.yaml").read_text(encoding="utf-8").partition("  run:\n")[2].partition("\n\n")[0]
+    theirs = {line.strip(" -").replace("-base", "") for line in recipe.splitlines()}
+    assert theirs - {"python >=3.10"} == ours
+
+
 @pytest.mark.parametrize(
     "code",
     ["import ph_control; print(ph_control.__version__)", "from ph_control.cli import main; main(['--version'])"],
