@@ -65,8 +65,9 @@ def test_hum_next_to_a_mode_leaves_the_mode():
     assert np.max(np.abs(errors)) < 4
 
 
-def test_an_order_that_is_given_is_that_of_the_modes():
-    result = phc.pem(humming(3, 0.5, 5.0), 2, dt=STEP)
+@pytest.mark.parametrize("share", [0.1, 0.5])
+def test_an_order_that_is_given_is_that_of_the_modes(share):
+    result = phc.pem(humming(3, share, 5.0), 2, dt=STEP)
     assert result.order == 2 and len(hums(result)) == 1
     np.testing.assert_allclose(result.natural_frequencies, np.abs(POLES), rtol=2e-3)
 

@@ -92,12 +92,14 @@ def _settled(
 def _beside_hum(latest: Searched, search: Search, automatic: bool) -> Searched:
     """The fit beside tones in place of modes that neither decay nor are driven, where the criterion agrees.
 
-    So it is with lines of the residuals, unless modes may be missing as their number is not `automatic`.
+    So it is with lines of the residuals; where the number of modes is not `automatic`, and some may be missing, if what
+    is left beside the tones is white.
     """
     for _ in range(_MOST_TONES):
         free = latest.free
         more = free.projection.p.imag[undriven(free)]
-        more = lines_in(free) if automatic and not len(more) else more
+        doubted = not (automatic or len(more))
+        more = more if len(more) else lines_in(free)
         if not len(more):
             break
         hums = Tones.of(latest.findings, latest.channels)
@@ -110,7 +112,7 @@ def _beside_hum(latest: Searched, search: Search, automatic: bool) -> Searched:
             if tones.is_near(taken):
                 break
         gain = 0.5 * (latest.bic - again.bic - latest.charge(taken.unknowns))
-        if gain <= 0:
+        if gain <= 0 or (doubted and not _leaves_white_noise(again.free)):
             break
         latest = replace(again, findings=tuple(taken.findings(gain)))
     return latest
