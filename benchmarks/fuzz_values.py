@@ -306,6 +306,7 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "pem.parameters": _choice(None, None, None, [1.0, 0.02]), "read_netlist.parameters": _choice(None, None, ["R1"]),
     "criterion": _choice("bic", "aic", "aicc"), "pem.criterion": _choice("bic", "aic", "aicc", "holdout"),
     "max_order": _integers(1, 2), "workers": lambda draw: pick(draw.rng, [1, map, lambda f, xs: [f(x) for x in xs]]),
+    "progress": lambda draw: _progress(),
     "callback": lambda draw: pick(draw.rng, [None, lambda progress: None, _stop]),
     "holdout": _choice(0.0, 0.3), "parameters": _choice("natural", "unique"), "optimizer": _choice("plain", "adam"),
     "learning_rate": _choice(0.1, 1e-3), "epochs": _integers(1, 5), "validation": _choice(None, 0.3),
@@ -385,6 +386,14 @@ def _shapes(draw: Draw) -> Any:
     """Of three sensors, as `positions` are."""
     c = draw.rng.standard_normal((2, draw.n, 3))
     return c[0] + 1j * c[1] * draw.rng.integers(0, 2)
+
+
+@cache
+def _progress() -> Any:
+    """What a callback is called with."""
+    calls: list[Any] = []
+    phc.pem((None, np.cos(np.arange(30.0))), 1, dt=1.0, structure="lossless", callback=calls.append)
+    return calls[0]
 
 
 def _stop(progress: Any) -> None:

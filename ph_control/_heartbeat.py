@@ -14,6 +14,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from .exceptions import StructureError
+
 _PAUSE = 1.0  # seconds from one report to the next
 
 
@@ -125,6 +127,15 @@ def show_progress(progress: Progress) -> None:
     progress : Progress
         With `order`, `max_order`, `iteration`, `loss` and `stage`.
 
+    Raises
+    ------
+    StructureError
+        If it is called with something else.
+
+    Notes
+    -----
+    Writes at most five times a second, to standard error, and leaves an empty line when the fit ends.
+
     Examples
     --------
     >>> import numpy as np, ph_control as phc
@@ -133,4 +144,8 @@ def show_progress(progress: Progress) -> None:
     >>> phc.pem((u, y), 1, dt=0.1, callback=phc.show_progress).order
     1
     """
+    if not isinstance(progress, Progress):
+        raise StructureError(
+            f"progress is {type(progress).__name__}; pass the function itself, as pem(data, callback=show_progress)"
+        )
     _BAR(progress)

@@ -8,6 +8,7 @@ from reference import EPS, dense_simulation
 from scipy.linalg import expm
 
 import ph_control as phc
+from ph_control._units import DERIVATIVES
 from ph_control.identification.fit.pem_result import residue_of_unit_weight
 from ph_control.identification.regression import time_rows as experiment
 from ph_control.identification.regression.free import FreeProjection, GivenResidues
@@ -15,7 +16,6 @@ from ph_control.identification.regression.frequency_rows import FreeResponse
 from ph_control.identification.regression.spectral_rows import ChannelSpectra, FreeWindow
 from ph_control.identification.regression.time_rows import FreeRecord, Modal, RecordColumns, Shared, gram
 from ph_control.identification.search.free_search import Channels
-from ph_control.identification.structure.layout import POWERS
 from ph_control.modal.discretization import Hold
 
 HOLDS = [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]
@@ -113,11 +113,11 @@ def test_columns_are_those_of_a_dense_simulation(method, intersample):
                 assert np.abs(column - expected).max() <= 10 * samples * EPS * size
 
 
-@pytest.mark.parametrize("quantity", POWERS)
+@pytest.mark.parametrize("quantity", DERIVATIVES)
 @pytest.mark.parametrize("zeta", [0.0, 0.03])
 def test_residues_of_unit_weight_give_what_a_sensor_of_every_quantity_measures(zeta, quantity):
     rng = np.random.default_rng(5)
-    samples, h, d, power = 301, 0.05, np.array([0.7, 3.0, 11.0]), POWERS[quantity]
+    samples, h, d, power = 301, 0.05, np.array([0.7, 3.0, 11.0]), DERIVATIVES[quantity]
     u = rng.standard_normal(samples)
     # a weight r = 1 is a residue kappa = d: a unit mass that takes d times the input
     expected = np.zeros(samples)

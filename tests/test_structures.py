@@ -10,13 +10,14 @@ from scipy.optimize import least_squares, minimize
 from scipy.signal import lfilter
 
 import ph_control as phc
+from ph_control._units import DERIVATIVES
 from ph_control.identification.regression.free import FreeProjection, refine_free
 from ph_control.identification.regression.frequency_rows import FreeResponse
 from ph_control.identification.regression.sections import PoleRegion
 from ph_control.identification.regression.time_rows import FreeRecord
 from ph_control.identification.structure.constrained import ConstrainedProblem, constrained, coordinates_of
 from ph_control.identification.structure.hypothesis_tests import choose, structure_tests
-from ph_control.identification.structure.layout import POWERS, ChannelLayout
+from ph_control.identification.structure.layout import ChannelLayout
 from ph_control.modal.discretization import Hold
 from ph_control.modal.general_form import real_matrices
 
@@ -28,7 +29,7 @@ PORTS = ((0, 0), (1, 1))
 
 def factor(p, quantities):
     """`p**k / (2j Im p)`, shape (n, outputs, 1)."""
-    powers = np.array([POWERS[one] for one in quantities])
+    powers = np.array([DERIVATIVES[one] for one in quantities])
     return (p[:, None] ** powers / (2j * p.imag[:, None]))[:, :, None]
 
 
@@ -358,7 +359,7 @@ def test_passivity_is_that_of_the_velocity_whatever_was_measured(quantity):
     """Two ports, entries of a response matrix: the mobility of the passive model is passive, and others were not."""
     p, omega = 1j * P.imag - 0.002, np.linspace(0.3, 2.0, 300)
     rho = factor(p, [quantity] * 2) * TRUE["classical"][1][:, :2, None] * TRUE["classical"][1][:, None, :2]
-    power, s, rows, active = POWERS[quantity], 1j * omega, [], 0
+    power, s, rows, active = DERIVATIVES[quantity], 1j * omega, [], 0
     for seed in range(2):
         rng, rows = np.random.default_rng(seed), []
         for k in range(4):

@@ -113,7 +113,7 @@ def _delayed(free: FreeFit, best: Choice, hypothesis: str, request: Request, set
     if delayed is None or delayed.fit.delays is None:
         return None
     projection, late = delayed.free, Choice(free, delayed.fit, best.tests)
-    gain = free.delay_gain if settled else late.gain(best)
+    gain = free.delay_gain + (0.0 if settled else late.gain(best))
     now = replace(
         free, projection=projection, unknowns=projection.unknowns, delay=delayed.fit.delays.each, delay_gain=gain,
         held_otherwise=None, delay_open=True, findings=best.free.findings,
