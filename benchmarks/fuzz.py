@@ -54,6 +54,7 @@ SECONDS = 10  # of processor time, that one call may take
 PORTION = 2000  # calls of one process
 MEMORY = 6 << 30  # bytes that it may take
 
+WRITING = {"show_progress"}  # names that are there to write on standard error
 TOLD = (phc.IdentifiabilityWarning, phc.ResolutionWarning, phc.ConditioningWarning)
 
 # what only the package makes: plain records of an answer, which nobody else fills in
@@ -510,7 +511,7 @@ class Session:
                 where = f"{warning.filename.rpartition('ph_control' + os.sep)[2]}:{warning.lineno}"
                 if not (self._documented(target, warning) or (target.foreign and "ph_control" not in warning.filename)):
                     self._note(target, warning.category.__name__, where, str(warning.message))
-        if out.getvalue() and target.kind != "command":
+        if out.getvalue() and target.kind != "command" and target.name not in WRITING:
             self._note(target, "printed", "", out.getvalue())
         if _unwarned([positional, named]) != before:
             self._note(target, "changed an argument", "", "")
