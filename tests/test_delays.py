@@ -58,9 +58,11 @@ def test_channels_that_are_skewed_keep_their_structure():
     assert "later than the response to the input" in result.message and "delay  " in str(result)
 
 
-def test_a_common_delay_is_one_number():
+@pytest.mark.parametrize("order", ["auto", 3])
+def test_a_common_delay_is_one_number(order):
+    # of three modes that are given none can stand for the delay, but forces that nobody measured may
     u, y, _ = skewed(1, (1.6, 1.6))
-    result = fitted(u, y)
+    result = fitted(u, y, order=order)
     assert result.structure == "classical" and np.ptp(result.delay) == 0
     assert abs(result.delay[0] - 1.6 * DT) < 4 * result.stderr["delay"][0]
     assert sum(one.cause.name == "DELAY" for one in result.findings) == 1

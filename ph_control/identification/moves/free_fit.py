@@ -94,9 +94,24 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
         return forced
     open_delay = assumptions.delay is None and may_be_late(forced)
     if forced.beside is not None and forced.beside.is_coloured:
-        return beside_forces_and_more(forced, fit, in_noise, search, may_be_late=open_delay)
+        forced = beside_forces_and_more(forced, fit, in_noise, search, may_be_late=open_delay)
+        return forced if search.automatic or not open_delay else _or_late(forced, fit, search)
     in_white_noise = _beside_all_else(fit.with_delay_open(open_delay), search)
     return in_white_noise if forced.beside is None else _in_likelier_rows(forced, in_white_noise, in_noise, search)
+
+
+def _or_late(forced: FreeFit, fit: FreeFit, search: Search) -> FreeFit:
+    """Return the fit beside forces, or that of as many modes in white noise with a delay, if it is likelier.
+
+    Of a number of modes that is given none can stand for the delay, and forces may.
+    """
+    if forced.interrupted:
+        return forced
+    late = _beside_all_else(fit.with_delay_open(True), search)
+    if late.interrupted:
+        return replace(forced, interrupted=True)
+    share = forced.projection.rows / late.projection.rows
+    return late if late.delay.any() and late.criteria.bic * share < forced.criteria.bic else forced
 
 
 def _prepared(
