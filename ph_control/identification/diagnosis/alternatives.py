@@ -19,6 +19,7 @@ from .unequal_noise import in_equal_noise
 
 _ROUNDS = 3  # of fits and of the noise of experiments in turn
 _MOST_TONES = 20  # times that more tones are looked for
+_MUCH = 0.2  # of the power that is left: a line where modes may be missing
 _SAME_LEVEL = 0.02  # mean difference of the logarithms of levels of noise that are the same
 
 
@@ -92,14 +93,14 @@ def _settled(
 def _beside_hum(latest: Searched, search: Search, automatic: bool) -> Searched:
     """The fit beside tones in place of modes that neither decay nor are driven, where the criterion agrees.
 
-    So it is with lines of the residuals; where the number of modes is not `automatic`, and some may be missing, if what
-    is left beside the tones is white.
+    So it is with lines of the residuals; where the number of modes is not `automatic`, and some may be missing, with
+    lines that have much of their power, if what is left beside them is white.
     """
     for _ in range(_MOST_TONES):
         free = latest.free
         more = free.projection.p.imag[undriven(free)]
         doubted = not (automatic or len(more))
-        more = more if len(more) else lines_in(free)
+        more = more if len(more) else lines_in(free, _MUCH if doubted else 0.0)
         if not len(more):
             break
         hums = Tones.of(latest.findings, latest.channels)

@@ -107,10 +107,11 @@ def undriven(fit: FreeFit) -> Indices:
     return np.array(tones, int)
 
 
-def lines_in(fit: FreeFit) -> Array:
+def lines_in(fit: FreeFit, share: float = 0.0) -> Array:
     """Frequencies of single lines that stand out of the spectra of what a fit leaves, with no power about them.
 
-    A mode that is missing has a peak that is broader, as inputs drive it all along.
+    A mode that is missing has a peak that is broader, as inputs drive it all along.  Each line has at least a `share`
+    of the power that is left.
     """
     if _unfit(fit):
         return np.zeros(0)
@@ -131,7 +132,8 @@ def lines_in(fit: FreeFit) -> Array:
             about = np.arange(place - _WIDTH, place + _WIDTH + 1)
             flanks = np.r_[about[0] - 2 : about[0], about[-1] + 1 : about[-1] + 3]
             flanks = flanks[flanks <= last]
-            if statistic[flanks].max(initial=0.0) < _CLEAN * statistic[place]:
+            large = power[:, about[about <= last]].sum() >= share * power.sum()
+            if large and statistic[flanks].max(initial=0.0) < _CLEAN * statistic[place]:
                 frequencies.append(2 * np.pi * place / (record.length * record.hold.h))
             statistic[max(0, place - _BESIDE) : place + _BESIDE] = 0.0
     return np.unique(frequencies)
