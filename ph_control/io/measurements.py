@@ -13,17 +13,17 @@ from ..exceptions import StructureError
 from .files import read_bytes, source_name
 from .frequency_csv import COLUMNS, UNITS, are_labels_of_response, is_frequency_table, response_in, selected_channels
 from .matlab_tables import read_frequency_mat, read_mat
+from .tables.columns import Table
 from .tables.recorders import READERS, read_array_table
 from .tables.text_table import TextOptions, read_table
 from .time_csv import recording_in
 from .touchstone import is_touchstone, read_touchstone
 from .universal_file import SUFFIXES, read_uff
 
-_IN_TIME = ("input", "output", "time", "dt")
+_NAMES = ("input", "output", "time")
+_IN_TIME = (*_NAMES, "dt")
 _IN_TEXT = ("header", "delimiter", "decimal", "skiprows", "comment")
 _IN_FREQUENCY = (*COLUMNS, *UNITS, "weights")
-
-
 _MATLAB = (".mat", ".h5", ".hdf5")  # version 7.3 of MATLAB is HDF5
 
 
@@ -82,16 +82,24 @@ def read_recording(
     >>> data.time.tolist(), data.inputs.tolist(), data.outputs.tolist()
     ([0.0, 0.000125], [0.0, 0.5], [0.25, -1.0])
     """
-    options: dict[str, Any] = {"input": input, "output": output, "time": time, "dt": dt, "time_unit": time_unit}
-    name = source_name(path)
+    options = {"input": input, "output": output, "time": time, "dt": dt, "time_unit": time_unit}
+    return _recording(path, {key: value for key, value in options.items() if value is not None})
+
+
+def _recording(source: Any, given: Mapping[str, Any]) -> TimeResponseData:
+    """Recording of a file of a logger or of MATLAB, or of a text table."""
+    name = source_name(source)
     suffix = Path(name).suffix.casefold()
     if suffix in _MATLAB:
-        return read_mat(
-            path, **{key: _dotted(value) if key in _IN_TIME[:3] else value for key, value in options.items()}
-        )
+        names = {key: _dotted(given[key]) for key in _NAMES if key in given}
+        return read_mat(source, **names, **{key: given[key] for key in ("dt", "time_unit") if key in given})
     if suffix in READERS:
-        return recording_in(read_array_table(read_bytes(path), name, suffix), **options)
-    return recording_in(read_table(read_bytes(path), name, TextOptions()), **options)
+        return _of_table(read_array_table(read_bytes(source), name, suffix), given)
+    return _of_table(read_table(read_bytes(source), name, TextOptions()), given)
+
+
+def _of_table(table: Table, given: Mapping[str, Any]) -> TimeResponseData:
+    return recording_in(table, *(given.get(key) for key in (*_IN_TIME, "time_unit")))
 
 
 def _dotted(names: Any) -> Any:
@@ -120,13 +128,10 @@ def measured(source: Any, options: Mapping[str, Any]) -> tuple[list[Any], Any]:
         columns, rows = ([one] if isinstance(one, str) else one or None for one in (input, output))
         network = read_touchstone(source, parameter=given.get("parameter", "Z"))
         return [selected_channels(network, columns, rows, name)], None
-    if suffix in READERS:
-        table = read_array_table(read_bytes(source), name, suffix)
-        return [recording_in(table, *(given.get(key) for key in (*_IN_TIME, "time_unit")))], None
+    if suffix in READERS or (suffix in _MATLAB and "frequency" not in given):
+        return [_recording(source, given)], None
     if suffix not in _MATLAB:
         return _in_table(source, given)
-    if "frequency" not in given:
-        return [read_mat(source, **{key: given[key] for key in (*_IN_TIME, "time_unit") if key in given})], None
     if output is None or "frequency_unit" not in given:
         raise StructureError(f"{name}: give --outputs, variables of the response, and --frequency-unit as well")
     unit = given["frequency_unit"]
@@ -146,4 +151,4 @@ def _in_table(source: Any, given: Mapping[str, Any]) -> tuple[list[Any], Any]:
         columns, units = ({key: given.get(key) for key in keys} for keys in (COLUMNS, UNITS))
         data, weights = response_in(table, columns, units, given.get("weights"))
         return [data], weights
-    return [recording_in(table, *(given.get(key) for key in (*_IN_TIME, "time_unit")))], None
+    return [_of_table(table, given)], None

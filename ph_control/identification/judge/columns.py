@@ -9,6 +9,7 @@ import numpy as np
 
 from ..._types import Array
 from ..data.channels import Recording
+from ..data.parts import blocks
 from ..search.circumstances import Cause, Finding
 
 _SAME = 1e-12  # share of the power by which two columns may differ, as rounding in print makes them
@@ -22,16 +23,19 @@ def same_columns(records: Sequence[object]) -> list[Finding]:
     recordings = [record for record in records if isinstance(record, Recording)]
     if not recordings or len(recordings) < len(records):
         return []
-    signals = np.concatenate([np.concatenate([record.u, record.y]) for record in recordings], axis=1)
-    signals = signals[:, np.isfinite(signals).all(axis=0)]
     labels = (*recordings[0].input_labels, *recordings[0].output_labels)
-    powers = np.einsum("ij,ij->i", signals, signals)
-    products = signals @ signals.T
+    products = np.zeros((len(labels), len(labels)))
+    for record in recordings:
+        for part in blocks(record.samples, len(labels)):
+            signals = np.concatenate([record.u[:, part], record.y[:, part]])
+            signals = signals[:, np.isfinite(signals).all(axis=0)]
+            products += signals @ signals.T
+    powers = np.diag(products)
     findings = []
     for j, k in combinations(range(len(labels)), 2):
         if powers[j] > 0 and powers[k] > 0:
             factor = products[j, k] / powers[j]
-            if np.sum((signals[k] - factor * signals[j]) ** 2) <= _SAME * powers[k]:
+            if powers[k] - factor * products[j, k] <= _SAME * powers[k]:
                 findings.append(Finding(Cause.SAME_COLUMNS, (float(factor),), 0.0, f"{labels[j]!r} and {labels[k]!r}"))
     return findings
 
