@@ -251,8 +251,8 @@ def pem(
         request = replace(request, structure=PARAMETRIC, function=for_channels(function, channels))
     start = starting_poles(initial_guess, channels, options)
 
-    def fit(data: Any, **more: Any) -> PEMResult:
-        return fit_channels(data, request, options, start, **more)
+    def fit(data: Any, poles: Any = start, **more: Any) -> PEMResult:
+        return fit_channels(data, request, options, poles, **more)
 
     with heard_by(callback) as heartbeat:
         options = replace(options, callback=heartbeat)
@@ -322,7 +322,7 @@ def _beside_hammer_noise(channels: Any, fit: Any) -> PEMResult:
     if not result.states or result.outcome is Outcome.INTERRUPTED:
         return result
     # what the channel shows between hits may be a force
-    rival = fit(channels, order=result.order)
+    rival = fit(channels, result.poles[result.poles.imag >= 0], order=result.order)
     if rival.outcome is Outcome.INTERRUPTED or rival.loglik <= result.loglik:
         return result
     return fit(channels)

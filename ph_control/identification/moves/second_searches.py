@@ -121,7 +121,7 @@ def with_real_poles(channels: Experiments, order: int, assumptions: Assumptions,
     open_order = replace(assumptions, max_order=min(order, assumptions.max_order))
     # first under the circumstances that there are
     same = replace(open_order, delay=fit.delay, input_delay=fit.input_delay, intersample=fit.intersample, beside=alone)
-    trial = fitted(channels, "auto", same, None)
+    trial = fitted(channels, "auto", same, fit.projection.p)
     if trial.interrupted:
         return replace(fit, interrupted=True)
     if not count_real_poles(trial.projection.p) or trial.criteria.bic >= fit.criteria.bic:
