@@ -19,6 +19,21 @@ matplotlib.use("Agg")
 hypothesis.settings.register_profile("suite", derandomize=True, deadline=None, max_examples=30)
 hypothesis.settings.load_profile("suite")
 
+
+
+def pytest_addoption(parser):
+    parser.addoption("--slow", action="store_true", help="also run tests that are marked as slow")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Leave slow tests out, unless they are asked for by the option, or by the marker: `-m slow`."""
+    if config.getoption("--slow") or config.getoption("-m"):
+        return
+    slow = [item for item in items if item.get_closest_marker("slow")]
+    items[:] = [item for item in items if not item.get_closest_marker("slow")]
+    config.hook.pytest_deselected(items=slow)
+
+
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
