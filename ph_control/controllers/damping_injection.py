@@ -61,8 +61,8 @@ def damping_injection(
     array([0.0752, 0.0334])
     """
     plant(sys)
-    at = port_numbers(sys, ports)
-    return through_ports(sys, controller_of(gain, len(at)), at, **names)
+    port_indices = port_numbers(sys, ports)
+    return through_ports(sys, controller_of(gain, len(port_indices)), port_indices, **names)
 
 
 def plant(sys: Any) -> None:
