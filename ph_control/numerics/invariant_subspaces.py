@@ -101,8 +101,8 @@ class Eigenvalues(NamedTuple):
     """
 
     values: ComplexArray
-    left: ComplexArray
-    right: ComplexArray
+    left_vectors: ComplexArray
+    right_vectors: ComplexArray
     overlap: ComplexArray
     separation: Array
 
@@ -142,9 +142,9 @@ def schur_form(A: Array, turned: bool = False) -> tuple[ComplexArray, ComplexArr
 
 def eigenvalues_of(T: ComplexArray) -> Eigenvalues:
     """Eigenvalues and eigenvectors of a triangular matrix."""
-    values, left, right = eig(T, left=True, right=True, check_finite=False)
-    overlap = np.sum(left.conj() * right, axis=0)
-    return Eigenvalues(values, left, right, overlap, np.maximum(np.abs(overlap), EPS))
+    values, left_vectors, right_vectors = eig(T, left=True, right=True, check_finite=False)
+    overlap = np.sum(left_vectors.conj() * right_vectors, axis=0)
+    return Eigenvalues(values, left_vectors, right_vectors, overlap, np.maximum(np.abs(overlap), EPS))
 
 
 def clusters(values: ComplexArray, radius: Array) -> list[Indices]:

@@ -87,10 +87,10 @@ def structural_modes(
     pencil = Pencil(K, M, eigensolver)
     static = F if residual_modes else None
     chosen = _chosen(pencil, modes, band, static)
-    found, wanted = chosen.found, chosen.wanted
-    energy = energy_parts(K.diagonal(), *found, pencil.scale)
-    rigid = rigid_modes(found.squares, energy, K.shape[0], rtol, pencil.scale)[wanted]
-    kept = type(found)(found.squares[wanted], found.shapes[:, : wanted.sum()])
+    eigenpairs, wanted = chosen.eigenpairs, chosen.wanted
+    energy = energy_parts(K.diagonal(), *eigenpairs, pencil.scale)
+    rigid = rigid_modes(eigenpairs.squares, energy, K.shape[0], rtol, pencil.scale)[wanted]
+    kept = type(eigenpairs)(eigenpairs.squares[wanted], eigenpairs.shapes[:, : wanted.sum()])
     residuals = pencil.residuals(kept)
     if residuals.max(initial=0.0) > RESIDUAL:
         raise StructureError(

@@ -381,7 +381,7 @@ def _poles_and_values(
         resolvent, size = Resolvent.of(A, B, C), float(np.linalg.norm(A))
 
         def from_matrices(s: ComplexArray) -> tuple[ComplexArray, float]:
-            values, error = resolvent.at(s)
+            values, error = resolvent.evaluate(s)
             error = 32 * error * (np.abs(s) / (size or 1.0) + 1)
             return np.moveaxis(values + D, 0, 2), _largest_ratio(error, np.abs(values).max(axis=(1, 2), initial=0.0))
 
