@@ -330,9 +330,9 @@ def _integrals(z: ComplexArray, rest: ComplexArray) -> tuple[ComplexArray, ...]:
     far, turn = np.where(near, _NEAR, z), np.where(near, 0.0, rest)
     end, mean = np.exp(far) * np.exp(turn), phi_1(far, turn)
     late, early = (mean - 1.0) / far, (end - mean) / far
-    found = late, early, (early - late) / far, (end - 2.0 * early) / far
+    by_quotients = late, early, (early - late) / far, (end - 2.0 * early) / far
     by_points = (np.exp(np.multiply.outer(np.where(near, z, 0.0), _T)) @ _MOMENTS).T
-    return tuple(np.where(near, one, other) for one, other in zip(by_points, found, strict=True))
+    return tuple(np.where(near, summed, divided) for summed, divided in zip(by_points, by_quotients, strict=True))
 
 
 # --- back to continuous time: the inverse of each discretisation, pole by pole ------------------------------------

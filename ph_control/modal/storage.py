@@ -90,13 +90,14 @@ def storage_coordinates(
             if known.counts in tried:
                 continue
             tried.add(known.counts)
-            found = _coordinates(system, known, kind)
-            if found.correction > _ROUNDING * len(A) * EPS:
-                found = min(found, _again(system, points, kind, null, found), key=lambda one: one.correction)
+            coordinates = _coordinates(system, known, kind)
+            if coordinates.correction > _ROUNDING * len(A) * EPS:
+                again = _again(system, points, kind, null, coordinates)
+                coordinates = min(coordinates, again, key=lambda candidate: candidate.correction)
         except (LinAlgError, ValueError):
             continue
-        if best is None or found.correction < best.correction:
-            best = found
+        if best is None or coordinates.correction < best.correction:
+            best = coordinates
         if best.correction <= _GOOD:
             break
     if best is None:
@@ -119,17 +120,15 @@ def _coordinates(system: Matrices, known: KnownParts, kind: str) -> Coordinates:
     inverse = np.asarray(np.linalg.inv(basis), float)
     fixed = _root(V.T @ Y)
     R, S = (_root(X) for X in _extremes(system, known, basis, inverse))
-    left: Any
-    right: Any
     U, s, W = svd(S @ R.T)
     root = np.sqrt(np.maximum(s, EPS * s.max(initial=0.0)))[:, None]
-    left, right = W @ R / root, U.T @ S / root
+    to_balanced, from_balanced = W @ R / root, U.T @ S / root
     if kind == "available":
-        left, right = left * root, right / root
+        to_balanced, from_balanced = to_balanced * root, from_balanced / root
     if kind == "required":
-        left, right = left / root, right * root
-    T = np.vstack([fixed @ inverse[:k], left @ inverse[k:]])
-    return _judged(system, T, np.hstack([basis[:, :k] @ np.linalg.inv(fixed), basis[:, k:] @ right.T]))
+        to_balanced, from_balanced = to_balanced / root, from_balanced * root
+    T = np.vstack([fixed @ inverse[:k], to_balanced @ inverse[k:]])
+    return _judged(system, T, np.hstack([basis[:, :k] @ np.linalg.inv(fixed), basis[:, k:] @ from_balanced.T]))
 
 
 def _again(system: Matrices, points: list[float], kind: str, null: float, before: Coordinates) -> Coordinates:
@@ -139,14 +138,14 @@ def _again(system: Matrices, points: list[float], kind: str, null: float, before
     return _judged(system, step.T @ before.T, before.inverse @ step.inverse)
 
 
-def _transformed(system: Matrices, found: Coordinates) -> Matrices:
+def _transformed(system: Matrices, coordinates: Coordinates) -> Matrices:
     A, B, C, D = system
-    return found.T @ A @ found.inverse, found.T @ B, C @ found.inverse, D
+    return coordinates.T @ A @ coordinates.inverse, coordinates.T @ B, C @ coordinates.inverse, D
 
 
 def _judged(system: Matrices, T: Array, inverse: Array) -> Coordinates:
-    found = Coordinates(T, inverse, 0.0)
-    moved = _transformed(system, found)
+    coordinates = Coordinates(T, inverse, 0.0)
+    moved = _transformed(system, coordinates)
     W = dissipation(*moved)
     size = sum(float(np.linalg.norm(M)) for M in moved)
     correction = float(np.linalg.norm(semidefinite(W, len(T)) - W)) / size
@@ -178,8 +177,8 @@ def semidefinite(W: Array, states: int) -> Array:
         return np.zeros_like(W)
     k, V = eigh(basis.T @ W @ basis)
     part = (V * np.maximum(k, _FLOOR * EPS * size)) @ V.T
-    found = basis @ (0.5 * (part + part.T)) @ basis.T
-    return np.asarray(0.5 * (found + found.T), float)
+    positive = basis @ (0.5 * (part + part.T)) @ basis.T
+    return np.asarray(0.5 * (positive + positive.T), float)
 
 
 # --- where W must be singular -------------------------------------------------------------------------------------
