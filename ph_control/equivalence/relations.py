@@ -92,16 +92,16 @@ def _separated(sys: Any) -> Separation:
 
 def _with_judged_errors(judged: Judged) -> Separation:
     """Modes of a plain system, with the bounds that held when its poles and residues were judged."""
-    found = separate(judged.modes)
-    d, total = found.modes.d, np.sum(np.abs(found.modes.nu) ** 2, axis=1)
-    rigid = np.sum(found.modes.rigid**2, axis=1)
+    separation = separate(judged.modes)
+    d, total = separation.modes.d, np.sum(np.abs(separation.modes.nu) ** 2, axis=1)
+    rigid = np.sum(separation.modes.rigid**2, axis=1)
     whole = max((d * total).max(initial=0.0), rigid.max(initial=0.0))
     errors = ModalErrors(
-        found.errors.d + judged.d_error,
-        found.errors.nu + 0.5 * judged.kappa_error / (d * np.sqrt(total)),
-        found.errors.rigid + 8 * max(1, found.modes.n) * _checks.EPS * whole / np.sqrt(rigid),
+        separation.errors.d + judged.d_error,
+        separation.errors.nu + 0.5 * judged.kappa_error / (d * np.sqrt(total)),
+        separation.errors.rigid + 8 * max(1, separation.modes.n) * _checks.EPS * whole / np.sqrt(rigid),
     )
-    return replace(found, errors=errors)
+    return replace(separation, errors=errors)
 
 
 @np.errstate(over="ignore")  # what overflows is refused
