@@ -379,8 +379,8 @@ def measured_rows(sensors: Any, n: int) -> dict[str, Array]:
         raise StructureError(
             f"the sensors measure {_checks.shown(unknown[0])}; known are {', '.join(map(repr, _KINDS))}"
         )
-    found = {kind: checked_rows(f"the sensors of {kind}", value, n) for kind, value in given.items()}
-    return {kind: rows for kind, rows in found.items() if len(rows)}
+    checked = {kind: checked_rows(f"the sensors of {kind}", value, n) for kind, value in given.items()}
+    return {kind: rows for kind, rows in checked.items() if len(rows)}
 
 
 def _sensor_matrices(
@@ -413,8 +413,8 @@ def _square(name: str, value: ArrayLike) -> Array:
 
 def _with_exact_kernel(M: Array, K: Array, rtol: float | None) -> Array:
     """Stiffness of which no mode that rounding leaves of a rigid one has any; a negative one is refused."""
-    found = _definite.definite_factor(K)
-    if rtol is None and found is not None and found[1] < 1 / FAINT:
+    factor = _definite.definite_factor(K)
+    if rtol is None and factor is not None and factor[1] < 1 / FAINT:
         return K
     n = len(K)
     few = [0, _FEW - 1] if rtol is None and n > 2 * _FEW else None
