@@ -210,11 +210,11 @@ class DissipativePortHamiltonian(PortHamiltonian):
 
     def _beyond_lossless(self) -> list[str]:
         matrices = {"R": "losses R", "P": "losses P", "S": "feedthrough S", "N": "feedthrough N"}
-        found = [text for name, text in matrices.items() if self._parts[name].any()]
+        terms = [text for name, text in matrices.items() if self._parts[name].any()]
         sensors = len(self._parts["sensor_rows"])
         if not is_canonical(self.J):
-            found.append("a structure matrix J of its own")
-        return found + ([f"{sensors} sensor{'s' * (sensors > 1)}"] if sensors else []) or ["room for losses"]
+            terms.append("a structure matrix J of its own")
+        return terms + ([f"{sensors} sensor{'s' * (sensors > 1)}"] if sensors else []) or ["room for losses"]
 
     @property
     def _spectrum(self) -> ModalForm:
@@ -444,7 +444,7 @@ def refuse_negative(name: str, matrix: Array, blocks: dict[str, slice]) -> None:
     if k[0] >= -_ROUNDING * len(matrix) * EPS * np.abs(matrix / scale[:, None] / scale).max():
         return
     shares = {block: float(np.sum(U[rows, 0] ** 2)) for block, rows in blocks.items()}
-    block = max(shares, key=lambda one: shares[one])
+    block = max(shares, key=lambda label: shares[label])
     where = f", with {100 * shares[block]:.0f} % of its eigenvector in the rows of {block}" if len(blocks) > 1 else ""
     raise StructureError(
         f"{name} has a negative eigenvalue: {k[0]:.3g} after scaling to unit diagonal{where}; it must be positive "

@@ -407,8 +407,8 @@ class PortHamiltonian(LosslessSystem):
 
         if is_number(other) and other == 0:
             return self
-        found = parallel(self, other)
-        return super().__add__(other) if found is None else found
+        connection = parallel(self, other)
+        return super().__add__(other) if connection is None else connection
 
     def __radd__(self, other: Any) -> Any:
         """Parallel connection; `0 + sys` is `sys`, so that `sum` of PH systems is PH."""
@@ -480,8 +480,8 @@ class PortHamiltonian(LosslessSystem):
         """
         from .interconnection import append
 
-        found = append(self, other)
-        return super().append(other) if found is None else found
+        combined = append(self, other)
+        return super().append(other) if combined is None else combined
 
     def _converted(self, **names: Any) -> PortHamiltonian:
         names = inherited_names(self, names, *_SIGNALS)

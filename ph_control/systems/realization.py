@@ -280,15 +280,15 @@ def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomp
             f"Q is only positive semidefinite: {system.n - len(system.d)} of {system.n} degrees of freedom have no "
             "frequency, and what is reachable is then more than what is observable; use minreal"
         )
-    found = reduction or system._separation(rtol)
-    hidden = found.hidden()
+    split = reduction or system._separation(rtol)
+    hidden = split.hidden()
     unseen = ModalForm._of(hidden, np.zeros((len(hidden), 1), complex), np.zeros((0, 1)))
 
     def transformation() -> Array:
-        groups = found.groups if reduction is None else as_decided(system.modes, reduction.starts, reduction.reached)
+        groups = split.groups if reduction is None else as_decided(system.modes, reduction.starts, reduction.reached)
         return _transformation(system, groups)
 
-    return KalmanDecomposition(_named_like(system, found.minimal()), _named_like(system, unseen), transformation)
+    return KalmanDecomposition(_named_like(system, split.minimal()), _named_like(system, unseen), transformation)
 
 
 def canonical_margins(sys: Any) -> CanonicalMargins:
@@ -333,12 +333,12 @@ def canonical_margins(sys: Any) -> CanonicalMargins:
       degeneracy: the residue of mode 3 is 0.025 of the largest, unreached up to 0.0e+00
     """
     system = _with_hidden_modes(sys, "the canonical margins are those of one port")
-    found = system._separation()
+    separation = system._separation()
     rigid = system.n - len(system.d)
-    resonance, close, pair = _least_distance(system.d, found.errors.d)
-    degeneracy, faint, mode = _least_residue(found)
-    near = int(np.count_nonzero(np.diff(found.minimal().d) <= _NEAR * found.minimal().d[1:]))
-    canonical = rigid == 0 and found.is_minimal
+    resonance, close, pair = _least_distance(system.d, separation.errors.d)
+    degeneracy, faint, mode = _least_residue(separation)
+    near = int(np.count_nonzero(np.diff(separation.minimal().d) <= _NEAR * separation.minimal().d[1:]))
+    canonical = rigid == 0 and separation.is_minimal
     return CanonicalMargins(canonical, resonance, close, pair, degeneracy, faint, mode, rigid, near)
 
 
@@ -395,12 +395,12 @@ def _least_distance(d: Array, error: Array) -> tuple[float, float, tuple[int, in
     return float(distance[j, l]), float(allowed[j, l]), (j, l)
 
 
-def _least_residue(found: Separation) -> tuple[float, float, int | None]:
+def _least_residue(separation: Separation) -> tuple[float, float, int | None]:
     """The mode with the least room above its tolerance: residue over the largest, tolerance, index."""
-    d = found.modes.d
+    d = separation.modes.d
     if len(d) == 0:
         return 1.0, 0.0, None
-    residue, allowed = d * found.strength**2, d * found.errors.nu**2
+    residue, allowed = d * separation.strength**2, d * separation.errors.nu**2
     largest = float(residue.max()) or 1.0
     mode = int((residue - allowed).argmin())
     return float(residue[mode]) / largest, float(allowed[mode]) / largest, mode
