@@ -245,9 +245,9 @@ class _Cone:
             return np.hstack([modes.reshape(len(M), m * n), M[:, m * n :]])
 
         both = turned(near, W.conj()) + turned(far, W.conj()).conj()
-        found = 2 * np.real(turned(both.T, W).T)
+        products = 2 * np.real(turned(both.T, W).T)
         full = np.zeros((self.B.size + len(self.through),) * 2)
-        full[: len(found), : len(found)] = found
+        full[: len(products), : len(products)] = products
         return full
 
     def inside(self) -> Array:

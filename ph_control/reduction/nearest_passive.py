@@ -99,7 +99,7 @@ def _weight(weight: Any, default: str) -> Any:
             f"weight is {_checks.shown(weight)}; pass 'covariance', 'h2', or a pair (omega, weights) of arrays"
         )
     parts = zip(("omega", "weights"), weight, strict=True)
-    omega, values = (np.atleast_1d(_checks.real_array(name, one)) for name, one in parts)
+    omega, values = (np.atleast_1d(_checks.real_array(name, array)) for name, array in parts)
     if omega.ndim != 1 or omega.shape != values.shape or not len(omega) or omega.min() < 0 or values.min() < 0:
         raise StructureError(
             f"the weight has frequencies of shape {omega.shape} and values of shape {values.shape}, the least "
@@ -127,14 +127,14 @@ def _of_system(sys: Any, weight: Any, kind: str) -> Any:
         )
     A, B, C = minimal_part(*split.rest, m)
     axis, lost = _positive_axis(split)
-    found = Closest(C, D, 0.0, np.zeros(0))
+    closest = Closest(C, D, 0.0, np.zeros(0))
     if len(A):
         family = FixedPoles(A, B, scattering)
-        found = closest_passive(family, C, D, _covariance(family, C, D, weight))
+        closest = closest_passive(family, C, D, _covariance(family, C, D, weight))
     names = inherited_names(plain, {}, "inputs", "outputs")
-    A, B, C = _with_axis((A, B, found.C), axis, m)
-    model = ct.ss(A, B, C, found.D, **names)
-    return _passive_model(model, model, kind, found.distance + (np.inf if lost else 0.0))
+    A, B, C = _with_axis((A, B, closest.C), axis, m)
+    model = ct.ss(A, B, C, closest.D, **names)
+    return _passive_model(model, model, kind, closest.distance + (np.inf if lost else 0.0))
 
 
 def _refuse_unstable(report: PassivityReport) -> None:
@@ -162,7 +162,7 @@ def _passive_model(sys: Any, plain: ct.StateSpace, kind: str, cost: float) -> An
 
 def _positive_axis(split: Split) -> tuple[list[tuple[float, ComplexArray]], bool]:
     """Residues on the axis without what is not positive semidefinite, and whether something was."""
-    found, lost = [], False
+    residues, lost = [], False
     for w, K in split.axis:
         if not np.isfinite(K).all():
             raise StructureError(
@@ -174,8 +174,8 @@ def _positive_axis(split: Split) -> tuple[list[tuple[float, ComplexArray]], bool
         kept = (U * np.maximum(values, 0.0)) @ U.conj().T
         lost = lost or bool(np.linalg.norm(kept - K) > 1e-8 * np.linalg.norm(K))
         if values[-1] > 0:
-            found.append((w, np.asarray(kept, complex)))
-    return found, lost
+            residues.append((w, np.asarray(kept, complex)))
+    return residues, lost
 
 
 def _with_axis(
@@ -256,8 +256,8 @@ class _PortMap:
 
 
 def _of_fit(result: Any, weight: Any, kind: str) -> Any:
-    found, cost = passive_fit(result, weight, kind)
-    model: Any = found.observed_system if kind == "scattering" else found.system
+    fit, cost = passive_fit(result, weight, kind)
+    model: Any = fit.observed_system if kind == "scattering" else fit.system
     if cost or kind == "scattering":
         return _passive_model(model, model, kind, cost)
     return _unchanged(result)
@@ -274,15 +274,15 @@ def passive_fit(result: Any, weight: Any, kind: str) -> tuple[Any, float]:
     """A fit with passive residues and feedthrough, and its squared distance."""
     if (result.poles.real < 0).all():
         return _moved(result, weight, kind, 0.0)
-    found, refusal = [], None
+    fits, refusal = [], None
     for steady in _STEADY:
         try:
-            found.append(_moved(result, weight, kind, steady))
+            fits.append(_moved(result, weight, kind, steady))
         except StructureError as refused:
             refusal = refused
-    if refusal is not None and not found:
+    if refusal is not None and not fits:
         raise refusal
-    return min(found, key=lambda one: one[1])
+    return min(fits, key=lambda candidate: candidate[1])
 
 
 def _moved(result: Any, weight: Any, kind: str, steady: float) -> tuple[Any, float]:
@@ -293,8 +293,8 @@ def _moved(result: Any, weight: Any, kind: str, steady: float) -> tuple[Any, flo
     theta = _parameters(start)
     C, D = ports.split(theta)
     if weight != "covariance":
-        found = _covariance(ports.family, C, D, weight)
-        moved = _inverse(_h2_covariance(ports.family, len(D)) if found is None else found)
+        metric_inverse = _covariance(ports.family, C, D, weight)
+        moved = _inverse(_h2_covariance(ports.family, len(D)) if metric_inverse is None else metric_inverse)
         covariance = np.linalg.pinv(ports.map.T @ moved @ ports.map, rcond=_RIDGE, hermitian=True)
     closest = closest_passive(ports.family, C, D, ports.map @ covariance @ ports.map.T)
     theta = theta + covariance @ (ports.map.T @ closest.force)

@@ -93,13 +93,13 @@ def from_pymor(model: Any) -> ct.StateSpace:
             f"this is a {type(model).__name__}, expected an LTIModel or PHLTIModel of pyMOR in continuous time"
         )
     if isinstance(model, iosys.PHLTIModel):
-        J, R, G, P, S, N, E, Q = (_dense(one) for one in model.to_matrices())
+        J, R, G, P, S, N, E, Q = (_dense(matrix) for matrix in model.to_matrices())
         n = len(J)
         energy = np.eye(n) if Q is None else Q
         if E is not None:
             energy = _divided(energy.T, E.T).T
         return ph(0.5 * (energy + energy.T), G, J=J, R=np.zeros((n, n)) if R is None else R, P=P, S=S, N=N)
-    A, B, C, D, E = (_dense(one) for one in model.to_matrices()[:5])
+    A, B, C, D, E = (_dense(matrix) for matrix in model.to_matrices()[:5])
     if E is not None:
         A, B = _divided(A, E), _divided(B, E)
     return ct.ss(A, B, C, np.zeros((len(C), B.shape[1])) if D is None else D)

@@ -218,9 +218,9 @@ def _smallest(made: Callable[[int], tuple[Parts, float]], most: int, allowed: fl
     best = None
     while high - low > 1:
         middle = (low + high) // 2
-        found = made(middle)
-        if found[1] <= allowed:
-            best, high = found, middle
+        candidate = made(middle)
+        if candidate[1] <= allowed:
+            best, high = candidate, middle
         else:
             low = middle
     return best or made(most)
@@ -282,8 +282,8 @@ class _Reducer:
                 break
             with suppress(StructureError):  # a model that cannot be made passive
                 start = _passive(model, D, self.m)
-                found = best_passive(full, start) if len(start["Q"]) else None
-                best = found if best is None or (found and found[1] < best[1]) else best
+                candidate = best_passive(full, start) if len(start["Q"]) else None
+                best = candidate if best is None or (candidate and candidate[1] < best[1]) else best
         best = best or best_passive(full, _in_units(self._balanced(order), 1 / rate, 1 / size))
         return _in_units(best[0], rate, size)
 
@@ -316,10 +316,10 @@ def _sizes(A: Array, B: Array, C: Array, D: Array) -> tuple[float, float]:
     return rate, float(np.linalg.norm(B) * np.linalg.norm(C)) / rate + float(np.linalg.norm(D)) or 1.0
 
 
-def _difference(one: Matrices, other: Matrices) -> float:
+def _difference(first: Matrices, second: Matrices) -> float:
     """Largest gain of the difference of two systems of the same feedthrough."""
-    A = block_diag(one[0], other[0])
-    B, C = np.vstack([one[1], other[1]]), np.hstack([one[2], -other[2]])
+    A = block_diag(first[0], second[0])
+    B, C = np.vstack([first[1], second[1]]), np.hstack([first[2], -second[2]])
     return _largest_gain(A, B, C, np.zeros((len(C), B.shape[1])))
 
 
