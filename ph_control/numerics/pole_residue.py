@@ -14,7 +14,7 @@ from scipy.linalg import schur
 from scipy.linalg.lapack import dgebal, ztrtrs
 
 from .. import _checks
-from .._types import Array, ComplexArray, Indices, Mask
+from .._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..exceptions import NotLosslessError, StructureError
 from .graphs import components
 from .invariant_subspaces import SAFETY, clusters, eigenvalues_of, invariant_block, reordered, schur_form
@@ -106,7 +106,8 @@ def from_state_space(A: Array, B: Array, C: Array, D: Array, rest: float = 0.0) 
 def _joined(forms: list[PoleResidueForm], residues: list[ComplexArray], feedthrough: Array) -> PoleResidueForm:
     """One form with the poles of all, which have these residues in it."""
     names = "poles", "pole_error", "residue_error", "growth", "growth_error"
-    together: dict[str, Any] = {name: np.concatenate([getattr(form, name) for form in forms]) for name in names}
+    together: dict[str, NDArray[Any]]
+    together = {name: np.concatenate([getattr(form, name) for form in forms]) for name in names}
     resolvents = tuple(part for form in forms for part in form.resolvents)
     gain = max(form.gain for form in forms)
     return PoleResidueForm(

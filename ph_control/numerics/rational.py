@@ -6,10 +6,11 @@ conversions are numbers.  So time and gain are scaled by powers of two, which ro
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import control as ct
 import numpy as np
+import scipy.signal
 from scipy.linalg import block_diag
 from scipy.linalg.lapack import dgebal
 
@@ -18,12 +19,13 @@ from .._types import Array, ComplexArray
 from ..exceptions import StructureError
 from .invariant_subspaces import equilibrated
 
+LinearSystem: TypeAlias = ct.StateSpace | ct.TransferFunction | scipy.signal.lti
 Table = list[list[Array]]
 
 _SAME = 4  # roundings of each coefficient that denominators of one column may differ by, and be one
 
 
-def state_space(sys: Any) -> ct.StateSpace:
+def state_space(sys: ct.StateSpace | ct.TransferFunction) -> ct.StateSpace:
     """Controllable companion forms of the columns of a transfer function, or observable ones of its rows, balanced.
 
     Parameters
@@ -139,7 +141,7 @@ def transfer_function(sys: ct.StateSpace, **names: Any) -> ct.TransferFunction:
     return ct.TransferFunction(num, den, sys.dt, **names)
 
 
-def poles(sys: Any) -> ComplexArray:
+def poles(sys: ct.StateSpace | ct.TransferFunction) -> ComplexArray:
     """Poles of a state space, or roots of the denominators of a transfer function, those of equal ones once."""
     if isinstance(sys, ct.StateSpace):
         return np.asarray(sys.poles(), complex)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh
 from scipy.linalg.blas import dtrsm
+from scipy.sparse import csc_array, sparray
 from scipy.sparse.linalg import ArpackError, LinearOperator, SuperLU, cg, eigsh, splu
 
 from .. import _checks
@@ -16,7 +17,7 @@ from .._checks import EPS
 from .._types import Array, Mask
 from ..exceptions import ConditioningWarning, StructureError
 
-Eigensolver = Callable[[Any, Any, int, float], tuple[Any, Any]]
+Eigensolver = Callable[[csc_array, csc_array, int, float], tuple[Array, Array]]
 
 _BELOW = 1e-10  # of the scale of K: the shift below zero that makes rigid modes regular
 _GAP = 1e-6  # relative distance at which neighbouring eigenvalues are told apart by a factorisation
@@ -52,7 +53,7 @@ class Eigenpairs(NamedTuple):
 class Pencil:
     """Symmetric stiffness and mass, sparse, with shift-invert operations; one factorisation is held at a time."""
 
-    def __init__(self, K: Any, M: Any, eigensolver: Eigensolver | None = None) -> None:
+    def __init__(self, K: sparray, M: sparray, eigensolver: Eigensolver | None = None) -> None:
         self.K, self.M, self.eigensolver = K.tocsc(), M.tocsc(), eigensolver
         mass, stiffness = M.diagonal(), np.abs(K.diagonal())
         moving = mass > 0
@@ -377,7 +378,7 @@ def _static(pencil: Pencil, F: Array | None, shapes: Array) -> tuple[Array, Arra
     return pencil.residual_flexibility(F, shapes)
 
 
-def _factored(A: Any, shift: float) -> SuperLU:
+def _factored(A: csc_array, shift: float) -> SuperLU:
     try:
         return splu(A.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     except RuntimeError as error:
@@ -387,7 +388,7 @@ def _factored(A: Any, shift: float) -> SuperLU:
         ) from None
 
 
-def _factor_error(A: Any, lu: SuperLU) -> float:
+def _factor_error(A: csc_array, lu: SuperLU) -> float:
     """Frobenius norm of `E A^{-1}`, estimated, where `A - E` is what was factored, scaled to unit diagonal.
 
     Below 1, no eigenvalue of `A - t E` passes zero for t from 0 to 1: the factors have the inertia of `A`.  Of a
