@@ -21,6 +21,7 @@ from ..numerics import definiteness as _definite
 from ..numerics import pole_residue
 from ..numerics.pole_residue import SAFETY, PoleResidueForm, clusters
 from ..numerics.polynomials import COEFFICIENT_LIMIT
+from ..numerics.rational import LinearSystem
 from ..symplectic.forms_and_williamson import apply_form
 from .discretization import Hold, continuous, sampling_rule
 from .modal_form import ModalForm
@@ -39,7 +40,7 @@ class Judged(NamedTuple):
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what overflows is refused where it matters
-def lossless_modes_with_errors(sys: Any, method: str | None = None, intersample: str = "zoh") -> Judged:
+def lossless_modes_with_errors(sys: LinearSystem, method: str | None = None, intersample: str = "zoh") -> Judged:
     """Minimal modal form and the bounds of its errors that the decision used.
 
     Takes a continuous-time `control.StateSpace` or `control.TransferFunction` (so also what `control.zpk`
@@ -71,13 +72,13 @@ def lossless_modes_with_errors(sys: Any, method: str | None = None, intersample:
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
-def of_sampled(sys: Any, method: str | None, intersample: str) -> PoleResidueForm:
+def of_sampled(sys: LinearSystem, method: str | None, intersample: str) -> PoleResidueForm:
     """Poles and residues in continuous time of any system that was sampled."""
     rule = sampling_rule(sys, method, intersample)
     return continuous(_poles_and_residues(sys, rule), rule)
 
 
-def _is_sampled(sys: Any) -> bool:
+def _is_sampled(sys: LinearSystem) -> bool:
     return isinstance(sys, ct.InputOutputSystem) and bool(sys.isdtime(strict=True))
 
 
@@ -104,7 +105,7 @@ def _confirm(modes: ModalForm, form: PoleResidueForm, rule: Hold | None) -> None
         )
 
 
-def _poles_and_residues(sys: Any, rule: Hold | None) -> PoleResidueForm:
+def _poles_and_residues(sys: LinearSystem, rule: Hold | None) -> PoleResidueForm:
     """Poles and residues of a system of any kind, by the route of its kind."""
     if isinstance(sys, scipy.signal.ZerosPolesGain):
         zeros, poles = _checks.conjugate_closed("zeros", sys.zeros), _checks.conjugate_closed("poles", sys.poles)
@@ -135,7 +136,7 @@ def _refuse_lost_coefficients(num: Array, den: Array, form: PoleResidueForm) -> 
         ) from None
 
 
-def _refuse_other_than_ports(sys: Any) -> None:
+def _refuse_other_than_ports(sys: LinearSystem) -> None:
     """Refuse a system without inputs, or with another number of outputs."""
     if isinstance(sys, scipy.signal.lti) and not isinstance(sys, scipy.signal.StateSpace):
         return

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import control as ct
 import numpy as np
@@ -20,7 +19,7 @@ from scipy.linalg.lapack import dtrsen
 from scipy.optimize import brentq, minimize_scalar
 
 from .._checks import EPS
-from .._types import Array, ComplexArray, Indices
+from .._types import Array, ArrayLike, ComplexArray, Indices
 from ..exceptions import StructureError
 from ..numerics.invariant_subspaces import (
     EliminationResolvent,
@@ -97,12 +96,12 @@ class Passivity:
         self.given = self.matrices if given is None else given
         self.modes = from_matrices(A, B, C, D.copy())
 
-    def smallest(self, omega: Any) -> tuple[Array, Array]:
+    def smallest(self, omega: ArrayLike) -> tuple[Array, Array]:
         """Smallest eigenvalue of `Phi` at each frequency, and what rounding leaves of it."""
-        omega = np.atleast_1d(np.asarray(omega, float))
-        size = self.modes.magnitude(1j * omega)
+        frequencies = np.atleast_1d(np.asarray(omega, float))
+        size = self.modes.magnitude(1j * frequencies)
         slack = _SLACK * max(self.modes.feedthrough.shape) * (1 + size**2 if self.scattering else size)
-        return self._smallest(omega), slack
+        return self._smallest(frequencies), slack
 
     def _smallest(self, omega: Array) -> Array:
         return np.asarray(np.linalg.eigvalsh(self.phi(omega))[:, 0], float)
@@ -252,7 +251,7 @@ class Passivity:
                 return False
         return not self._pieces()
 
-    def _pieces(self) -> list[tuple[Any, Any]]:
+    def _pieces(self) -> list[tuple[int, int]]:
         """First and last but one of the points of each piece of the axis on which `Phi` is negative beyond rounding."""
         grid, values, slack = self._looked_at
         negative = values < -slack
@@ -279,7 +278,7 @@ class Passivity:
     def _resolvent(self) -> SchurResolvent:
         return SchurResolvent(self.given[0])
 
-    def _perturbed(self, omega: float, resolvent: Any) -> tuple[float, float, float]:
+    def _perturbed(self, omega: float, resolvent: SchurResolvent | EliminationResolvent) -> tuple[float, float, float]:
         """Smallest eigenvalue of `Phi`, what it changes by with roundings of each entry, and with those of the solver.
 
         To first order the quadratic form of its eigenvector `u` changes by `2 Re y^H (dA x + dB u) + ..`, with

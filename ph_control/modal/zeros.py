@@ -8,7 +8,6 @@ the skew dynamics compressed to where the output vanishes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from scipy.linalg import null_space
@@ -41,7 +40,7 @@ def one_port_zeros(d: Array, kappa: Array, kappa_0: float | None) -> Array:
     return _mirrored(np.sort(np.concatenate([cancelled, _roots(d, kappa)])), at_zero)
 
 
-def _mirrored(w: Any, at_zero: bool) -> Array:
+def _mirrored(w: Array | list[float], at_zero: bool) -> Array:
     """Positive numbers, their opposites, and 0 between them or not."""
     n = len(w)
     both = np.zeros(2 * n + at_zero)
