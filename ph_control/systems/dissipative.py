@@ -93,8 +93,8 @@ class DissipativePortHamiltonian(PortHamiltonian):
 
     def __init__(
         self, Q: ArrayLike, B: ArrayLike, *, R: ArrayLike | None = None, P: ArrayLike | None = None,
-        S: ArrayLike | None = None, N: ArrayLike | None = None, J: ArrayLike | None = None, sensors: Any = None,
-        **names: Any,
+        S: ArrayLike | None = None, N: ArrayLike | None = None, J: ArrayLike | None = None,
+        sensors: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None, **names: Any,
     ) -> None:  # fmt: skip
         Q = _checks.symmetric_matrix(Q, even=J is None)
         n = len(Q)
@@ -220,7 +220,9 @@ class DissipativePortHamiltonian(PortHamiltonian):
     def _spectrum(self) -> ModalForm:
         return self.modes
 
-    def frequency_response(self, omega: Any = None, squeeze: bool | None = None) -> ct.FrequencyResponseData:
+    def frequency_response(
+        self, omega: ArrayLike | None = None, squeeze: bool | None = None
+    ) -> ct.FrequencyResponseData:
         """Frequency response as data, from the modes."""
         return ct.StateSpace.frequency_response(self, omega, squeeze)
 

@@ -405,7 +405,7 @@ def _in_coordinates(part: dict[str, Array], rows: Array, columns: Array) -> dict
     }  # fmt: skip
 
 
-def _acts(matrix: Array, k: Any) -> bool:
+def _acts(matrix: Array, k: Array) -> bool:
     """Whether `k^T matrix` is other than the rounding of 0."""
     return bool(np.any(np.abs(k @ matrix) > _ROUNDING * len(k) * EPS * (np.abs(k) @ np.abs(matrix))))
 
@@ -451,7 +451,9 @@ def _constant(K: Array) -> dict[str, Array]:
     return _structure(square, none, none.T, K) | {"Q": square, "sensor_rows": square, "sensor_feedthrough": none}
 
 
-def _looped(whole: _Whole, F: Array, inputs: Array, *, kept: int | None = None, names: Any = None) -> PortHamiltonian:
+def _looped(
+    whole: _Whole, F: Array, inputs: Array, *, kept: int | None = None, names: dict[str, Any] | None = None
+) -> PortHamiltonian:
     """Systems with `u = F y + E w`, `y_w = E^T y`; the names of the ports are those of the first `kept`."""
     part = whole.parts
     into, out, M = part["G"] - part["P"], (part["G"] + part["P"]).T, part["S"] + part["N"]
@@ -515,7 +517,7 @@ def _has_names(system: PortHamiltonian) -> bool:
     return any(label.text for kind in LETTERS for label in _labels_of(system, kind, 0))
 
 
-def _owners(members: Sequence[Any]) -> list[str]:
+def _owners(members: Sequence[PortHamiltonian | Array]) -> list[str]:
     """Names of the systems, or numbers where they have none of their own."""
     known = [
         member.name if isinstance(member, PortHamiltonian) and not member._generic_name_check() else None
@@ -547,7 +549,7 @@ def _without(labels: list[_Label], place: int) -> list[_Label]:
 # --- checks --------------------------------------------------------------------------------------------------------
 
 
-def _member(system: Any) -> PortHamiltonian:
+def _member(system: object) -> PortHamiltonian:
     if not isinstance(system, PortHamiltonian):
         raise StructureError(f"this is a {type(system).__name__}; pass PortHamiltonian systems, made by ph")
     return system
@@ -576,7 +578,7 @@ def _gain(value: Any, m: int, spread: Array) -> Array | None:
     return K if np.linalg.eigvalsh(K + K.T).min(initial=0.0) >= 0 else None
 
 
-def _pairs(members: Sequence[PortHamiltonian], ports: Any, ratio: ArrayLike) -> tuple[list[tuple[int, int]], Array]:
+def _pairs(members: Sequence[PortHamiltonian], ports: Ports, ratio: ArrayLike) -> tuple[list[tuple[int, int]], Array]:
     """Numbers of the ports of each pair, and its ratio."""
     is_pair = isinstance(ports, tuple) and len(ports) == 2 and not any(isinstance(port, tuple | list) for port in ports)
     listed = [ports] if is_pair else ports

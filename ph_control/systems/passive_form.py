@@ -15,7 +15,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import control as ct
 import numpy as np
@@ -25,7 +25,7 @@ from slycot.exceptions import SlycotError, SlycotResultWarning
 
 from .. import _checks
 from .._checks import EPS
-from .._types import Array, ComplexArray
+from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import ConditioningWarning, NotLosslessError, NotPassiveError, StructureError
 from ..modal.general_form import GeneralModalForm
 from ..modal.modal_form import Cluster
@@ -33,6 +33,7 @@ from ..modal.positive_real import Matrices, Passivity, Split, is_positive, split
 from ..modal.storage import KnownDirections, dissipation, semidefinite, storage_coordinates
 from ..numerics.invariant_subspaces import EliminationResolvent, SchurResolvent, equilibrated
 
+PortPairs = Sequence[tuple[int | str, int | str]]  # output and input of each port, by number or name
 Parts = dict[str, Array]
 
 _UNSEEN = 1e-13  # of the largest Hankel singular value: a state that ports do not reach or do not see
@@ -85,7 +86,7 @@ class PortRows:
         return self.B.shape[1]
 
 
-def in_port_order(sys: ct.StateSpace, pairs: Any) -> ct.StateSpace:
+def in_port_order(sys: ct.StateSpace, pairs: PortPairs) -> ct.StateSpace:
     """The system with the outputs of its ports first, each in the place of its input; the others follow as sensors."""
     p, m = sys.noutputs, sys.ninputs
     port_pairs = _checks.port_pairs(pairs, sys.output_labels, sys.input_labels)
@@ -334,8 +335,8 @@ def joined(members: Sequence[Parts], through: Array) -> Parts:
 class _GivenResponse:
     """Response of the given system in its band, with what roundings of the given entries make of it."""
 
-    def __init__(self, given: PortRows, poles: Any) -> None:
-        self.given, self.points = given, 1j * _band(np.asarray(poles, complex))
+    def __init__(self, given: PortRows, poles: ArrayLike) -> None:
+        self.given, self.points = given, np.asarray(1j * _band(np.asarray(poles, complex)), complex)
         resolvent = _resolvent(given.A)
         A, B, C = given.A, given.B, given.C
         self.into, self.out = resolvent.columns(self.points, B), resolvent.rows(self.points, C)
@@ -377,7 +378,7 @@ class _GivenResponse:
         return off[clear].max(axis=0, initial=0.0), np.abs(self.values[clear]).max(axis=(0, 2), initial=0.0)
 
 
-def _resolvent(A: Array) -> Any:
+def _resolvent(A: Array) -> SchurResolvent | EliminationResolvent:
     return EliminationResolvent(A) if len(A) <= _FEW else SchurResolvent(A)
 
 
@@ -667,7 +668,7 @@ def _is_pair(slow: tuple[float, float, Array], fast: tuple[float, float, Array])
     return bool(rate > a and abs(other * a - weight * rate) <= 1e-6 * weight * rate and abs(u @ w) > 1 - 1e-9)
 
 
-def _factors(K: Any) -> tuple[Array, Any]:
+def _factors(K: Array | ComplexArray) -> tuple[Array, Array | ComplexArray]:
     """Positive eigenvalues and vectors of the Hermitian part of a residue; the largest entry of each is positive."""
     sigma, W = eigh(0.5 * (K + K.conj().T))
     kept = sigma > max(_NONE, len(K) * EPS) * sigma[-1]

@@ -21,7 +21,7 @@ from ..exceptions import StructureError
 from ..modal.error_bounds import Group, Separation, as_decided
 from ..modal.minimal import minimal_of_exact
 from ..modal.modal_form import ModalForm
-from .base import LosslessSystem, in_normal_form, refuse_losses
+from .base import Convertible, LosslessSystem, in_normal_form, refuse_losses
 from .dissipative import DissipativePortHamiltonian, minimal_of
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian, ph
 
@@ -140,7 +140,7 @@ class CanonicalMargins:
         return "\n".join(lines)
 
 
-def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
+def minreal(sys: Convertible, *, rtol: float | None = None) -> PortHamiltonian:
     """Minimal port-Hamiltonian system with the same transfer function.
 
     Parameters
@@ -221,7 +221,7 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     return _named_like(system, system._minimal if rtol is None else system._separation(rtol).minimal())
 
 
-def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomposition:
+def kalman_decomposition(sys: Convertible, *, rtol: float | None = None) -> KalmanDecomposition:
     """Split a system into a canonical one and one that the port neither moves nor sees.
 
     For `Q > 0` the reachable subspace is symplectic and its `Q`-orthogonal complement is the unobservable one, so
@@ -285,13 +285,14 @@ def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomp
     unseen = ModalForm._of(hidden, np.zeros((len(hidden), 1), complex), np.zeros((0, 1)))
 
     def transformation() -> Array:
-        groups = split.groups if reduction is None else as_decided(system.modes, reduction.starts, reduction.reached)
-        return _transformation(system, groups)
+        if isinstance(split, Separation):
+            return _transformation(system, split.groups)
+        return _transformation(system, as_decided(system.modes, split.starts, split.reached))
 
     return KalmanDecomposition(_named_like(system, split.minimal()), _named_like(system, unseen), transformation)
 
 
-def canonical_margins(sys: Any) -> CanonicalMargins:
+def canonical_margins(sys: Convertible) -> CanonicalMargins:
     """Tell whether a system is canonical, and by how much.
 
     A system with `Q > 0` is canonical iff its frequencies differ (non-resonance) and each mode is reached
@@ -342,7 +343,7 @@ def canonical_margins(sys: Any) -> CanonicalMargins:
     return CanonicalMargins(canonical, resonance, close, pair, degeneracy, faint, mode, rigid, near)
 
 
-def _with_hidden_modes(sys: Any, limit: str) -> PortHamiltonian:
+def _with_hidden_modes(sys: Convertible, limit: str) -> PortHamiltonian:
     """Port-Hamiltonian system of one port with all that `sys` has; refused where a conversion left states behind."""
     system = full_port_hamiltonian(sys)
     if system.ninputs != 1:
