@@ -9,7 +9,6 @@ projection on any subspace by an orthonormal basis is one too.  On an invariant 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.linalg import eig, eigh, qr, schur, svd
@@ -232,7 +231,7 @@ def _value(d: Array, nu: ComplexArray, w: float, m: int) -> ComplexArray:
     return value
 
 
-def _stiff_modes(d: Array, nu: ComplexArray) -> Any:
+def _stiff_modes(d: Array, nu: ComplexArray) -> ModalForm:
     """Modes of the static deflections of modes left out, as many as ports."""
     weighted = np.sqrt(d)[:, None] * nu
     B: Array = np.concatenate([weighted.real, weighted.imag])

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag, qr, schur
@@ -271,7 +271,7 @@ def best_passive(full: Full, start: Parts) -> tuple[Parts, float]:
         f, by = full.error(model)
         return (size + f) / before, layout.gradient(x, by) / before
 
-    options: Any = {"maxiter": _STEPS, "maxfun": 2 * _STEPS, "ftol": _ENOUGH, "gtol": _ENOUGH, "maxcor": 30}
+    options = {"maxiter": _STEPS, "maxfun": 2 * _STEPS, "ftol": _ENOUGH, "gtol": _ENOUGH, "maxcor": 30}
     solution = minimize(value, x, jac=True, method="L-BFGS-B", options=options)
     if not solution.fun < 1:
         return start, before - size

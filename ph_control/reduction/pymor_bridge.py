@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import Any
 
 import control as ct
@@ -13,7 +14,7 @@ from ..systems.dissipative import parts_of
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 
 
-def to_pymor(sys: Any) -> Any:
+def to_pymor(sys: ct.StateSpace) -> Any:
     """Make a model of pyMOR.
 
     Parameters
@@ -121,7 +122,7 @@ def _dense(matrix: Any) -> Any:
     return np.array(matrix.toarray() if hasattr(matrix, "toarray") else matrix, float)
 
 
-def _iosys() -> Any:
+def _iosys() -> ModuleType:
     try:
         from pymor.models import iosys
     except ImportError:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property
-from typing import Any
 
 import control as ct
 import numpy as np
@@ -17,7 +16,7 @@ from .._types import Array
 from ..exceptions import StructureError
 from ..modal.positive_real import split_axis
 from ..structures.second_order_system import SecondOrderSystem, truncation_errors
-from ..systems.base import inherited_names
+from ..systems.base import Convertible, inherited_names
 from ..systems.dissipative import parts_of, restored
 from ..systems.passive_form import PortRows, joined, lossless_parts, minimal_part, stored_parts
 from ..systems.port_hamiltonian import PortHamiltonian, ph
@@ -34,11 +33,11 @@ _BEYOND = 1.5  # times the end of the band: up to where modes of a large structu
 
 @on_one_thread
 def reduce(
-    sys: Any,
+    sys: Convertible | SecondOrderSystem,
     order: int | None = None,
     *,
     tolerance: float | None = None,
-    band: Any = None,
+    band: tuple[float, float] | None = None,
     method: str = "modal",
     residual_modes: bool = True,
 ) -> PortHamiltonian:
@@ -122,7 +121,9 @@ def reduce(
     return _finished(system, parts, error)
 
 
-def _wanted(order: Any, tolerance: Any, band: Any, method: str, residual_modes: bool) -> Wanted:
+def _wanted(
+    order: int | None, tolerance: float | None, band: tuple[float, float] | None, method: str, residual_modes: bool
+) -> Wanted:
     if tolerance is not None and (order is not None or band is not None):
         raise StructureError("tolerance chooses the number of states; give it without order and band")
     if order is None and tolerance is None and band is None:
@@ -142,7 +143,7 @@ def _is_plain(system: PortHamiltonian) -> bool:
 
 
 def _copy(system: PortHamiltonian) -> PortHamiltonian:
-    again: Any = system._converted()
+    again = system._converted()
     again.error_bound = 0.0
     return again
 
@@ -170,7 +171,12 @@ def _of_lossless(system: PortHamiltonian, wanted: Wanted, tolerance: float | Non
 
 
 def _of_structure(
-    sys: SecondOrderSystem, order: Any, tolerance: Any, band: Any, method: str, residual_modes: bool
+    sys: SecondOrderSystem,
+    order: int | None,
+    tolerance: float | None,
+    band: tuple[float, float] | None,
+    method: str,
+    residual_modes: bool,
 ) -> PortHamiltonian:
     """By a model of more modes than are kept, whose difference from the structure is bounded below those left out."""
     if tolerance is not None:
