@@ -172,7 +172,7 @@ class NetlistFunction(Frozen):
         return _system(elements, dict(self._labels))
 
 
-def _opened(elements: Sequence[Element], parameters: Any, labels: dict[str, Any]) -> NetlistFunction:
+def _opened(elements: Sequence[Element], parameters: Sequence[str], labels: dict[str, Any]) -> NetlistFunction:
     """A circuit with the values of some elements left open."""
     named = isinstance(parameters, list | tuple) and all(isinstance(name, str) for name in parameters)
     if not named:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import control as ct
 import numpy as np
@@ -25,6 +24,7 @@ from .._checks import EPS
 from .._types import Array, ComplexArray, NDArray
 from ..exceptions import NotLosslessError, StructureError
 from ..modal.modal_form import ModalForm
+from ..systems.base import Convertible
 from ..systems.dissipative import DissipativePortHamiltonian
 from ..systems.passive_form import Conversion, PortRows, passive_parts
 from ..systems.port_hamiltonian import ph
@@ -62,7 +62,7 @@ class Resonators:
 OnePort = tuple[Array, Array, float]
 
 
-def resonators_of(sys: Any) -> tuple[Resonators, OnePort | None]:
+def resonators_of(sys: Convertible) -> tuple[Resonators, OnePort | None]:
     """Resonators of a system, and frequencies, weights and pole at 0 of a lossless one-port."""
     system = sys if isinstance(sys, ModalForm) and sys.is_lossless else ph(sys)
     if isinstance(system, DissipativePortHamiltonian):
@@ -95,7 +95,7 @@ def _of_lossless(modes: ModalForm) -> Resonators:
     return Resonators(modes.nports, resonators, at_zero, [], np.zeros(modes.nports))
 
 
-def _ratios(nu: Any) -> tuple[Array, float]:
+def _ratios(nu: Array | ComplexArray) -> tuple[Array, float]:
     """Real ratios, the largest 1, and the square of what they are multiplied by, of the weights of a mode."""
     lead = nu[np.abs(nu).argmax()]
     psi = nu / lead

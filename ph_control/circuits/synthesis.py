@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from .. import _checks
 from .._types import Array
 from ..exceptions import StructureError
+from ..systems.base import Convertible
 from .controlled import controlled_sources
 from .elements import Element, Netlist
 from .expansions import continued_fraction, continued_fraction_at_zero, reciprocal
@@ -20,7 +19,7 @@ _DIRECT = {"admittance": "foster2", "impedance": "foster1"}  # the partial fract
 _TITLES = {"foster1": "Foster I", "foster2": "Foster II", "cauer1": "Cauer I", "cauer2": "Cauer II"}
 
 
-def netlist(sys: Any, form: str | None = None, *, kind: str = "admittance") -> Netlist:
+def netlist(sys: Convertible, form: str | None = None, *, kind: str = "admittance") -> Netlist:
     """Circuit with the transfer function of a system: positive elements, or controlled sources.
 
     Parameters

@@ -8,6 +8,7 @@ from typing import Any
 
 import control as ct
 import numpy as np
+from numpy.typing import DTypeLike
 from scipy.linalg import eig, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
@@ -62,7 +63,7 @@ class OptimalDamping(Frozen):
     cost: float
     cost_before: float
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Array:
         return np.array(self.gains, dtype=dtype)
 
     @property
@@ -205,7 +206,10 @@ class _Loop:
     own: int  # states of the plant, which come first
 
     @classmethod
-    def of(cls, sys: PortHamiltonian, ports: list[int], masses: Array | None, outputs: Any, inputs: Any) -> _Loop:
+    def of(
+        cls, sys: PortHamiltonian, ports: list[int], masses: Array | None, outputs: str | Sequence[int | str],
+        inputs: Sequence[int | str] | None,
+    ) -> _Loop:  # fmt: skip
         """Loop of a plant with devices whose constants are still 0."""
         A, B, Cy, sensors = energy_coordinates(sys, ports)
         C = _performance(sys, A, Cy, sensors, outputs)
@@ -275,7 +279,7 @@ def energy_coordinates(sys: PortHamiltonian, ports: Sequence[int]) -> tuple[Arra
     Raises
     ------
     StructureError
-        If a port of `at` has feedthrough, beside which a gain is another one.
+        If one of the ports has feedthrough, beside which a gain is another one.
     """
     refuse_feedthrough(sys, ports)
     part = parts_of(sys)
@@ -287,7 +291,9 @@ def energy_coordinates(sys: PortHamiltonian, ports: Sequence[int]) -> tuple[Arra
     return T @ (part["J"] - part["R"]) @ T.T, T @ (part["G"] - part["P"]), C, (seen, through)
 
 
-def _performance(sys: PortHamiltonian, A: Array, C: Array, sensors: tuple[Array, Array], outputs: Any) -> Array:
+def _performance(
+    sys: PortHamiltonian, A: Array, C: Array, sensors: tuple[Array, Array], outputs: str | Sequence[int | str]
+) -> Array:
     """Rows of what is kept small."""
     if isinstance(outputs, str):
         _checks.choice("outputs", outputs, ("energy", "displacement", "velocity"))
