@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.sparse.csgraph import connected_components
 
 from .. import _checks
 from .._types import Array
 from ..exceptions import StructureError
-from ..modal.general_form import GeneralModalForm, real_matrices
+from ..modal.general_form import matrices_of
 from ..systems.base import Convertible
 from ..systems.port_hamiltonian import PortHamiltonian, modes, ph
 from .elements import Element, Netlist
@@ -46,12 +45,7 @@ def _matrices(sys: Convertible) -> tuple[Array, Array, Array, Array]:
         several = isinstance(inputs, int) and getattr(sys, "noutputs", inputs) > inputs
         sys = ph(sys, ports=[(k, k) for k in range(inputs)]) if several and inputs else ph(sys)
     form = modes(sys)
-    A, B, C = real_matrices(*form.equations)
-    if isinstance(form, GeneralModalForm):
-        A = block_diag(A, *(block.A for block in form.clusters))
-        B = np.concatenate([B, *(block.B for block in form.clusters)])
-        C = np.hstack([C, *(block.C for block in form.clusters)])
-    return A, B, C, np.asarray(form.feedthrough, float)
+    return *matrices_of(form), np.asarray(form.feedthrough, float)
 
 
 def _of_one_size(A: Array, B: Array, C: Array) -> tuple[Array, Array]:

@@ -191,10 +191,7 @@ class GeneralModalForm(ModalForm):
 
     def state_space(self) -> ct.StateSpace:
         """Real state space of the modes, block by block."""
-        A, B, C = real_matrices(*self.equations)
-        A = block_diag(A, *(block.A for block in self.clusters))
-        B = np.concatenate([B, *(block.B for block in self.clusters)])
-        return ct.ss(A, B, np.hstack([C, *(block.C for block in self.clusters)]), self.feedthrough)
+        return ct.ss(*matrices_of(self), self.feedthrough)
 
     @cached_property
     def zeros(self) -> ComplexArray:
@@ -263,6 +260,14 @@ def invariant_zeros(sys: ct.StateSpace) -> ComplexArray:
     pencil = ab08nd(n, m, p, sys.A, sys.B, sys.C, sys.D, ldwork=max(m, p, n) + max(more, n + max(m, p)))
     count, first, second = pencil[0], pencil[8], pencil[9]
     return eigvals(first[:count, :count], second[:count, :count]).astype(complex) if count else np.zeros(0, complex)
+
+
+def matrices_of(form: ModalForm) -> tuple[Array, Array, Array]:
+    """Real matrices `A`, `B`, `C` of the modes, and of clusters where there are any, block by block."""
+    A, B, C = real_matrices(*form.equations)
+    A = block_diag(A, *(block.A for block in form.clusters))
+    B = np.concatenate([B, *(block.B for block in form.clusters)])
+    return A, B, np.hstack([C, *(block.C for block in form.clusters)])
 
 
 def real_matrices(p: ComplexArray, b: ComplexArray, c: ComplexArray) -> tuple[Array, Array, Array]:
