@@ -262,7 +262,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
 
     def __reduce__(self) -> tuple[Any, ...]:
         known = dict(self._parts), self._names(), self.time_unit, self.conversion
-        return restored, known, self._told()
+        return restored, known, self._attached()
 
     def _shown(self) -> list[str]:
         """Names of the parts beside Q and B that are not what they are by default."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import control as ct
 import numpy as np
@@ -404,7 +404,7 @@ class PortHamiltonian(LosslessSystem):
 
     # --- what python-control asks a system ------------------------------------------------------------------------
 
-    def __add__(self, other: Any) -> Any:
+    def __add__(self, other: ct.StateSpace | ArrayLike) -> ct.StateSpace:
         """Parallel connection; PH with a PH system of the same number of ports, or with a gain that takes energy."""
         from .interconnection import parallel
 
@@ -413,25 +413,25 @@ class PortHamiltonian(LosslessSystem):
         connection = parallel(self, other)
         return super().__add__(other) if connection is None else connection
 
-    def __radd__(self, other: Any) -> Any:
+    def __radd__(self, other: ct.StateSpace | ArrayLike) -> ct.StateSpace:
         """Parallel connection; `0 + sys` is `sys`, so that `sum` of PH systems is PH."""
         # Python asks the subclass first; a StateSpace on the left is to do its own adding
         return NotImplemented if isinstance(other, ct.StateSpace) else self + other
 
-    def __mul__(self, other: Any) -> Any:
+    def __mul__(self, other: ct.StateSpace | ArrayLike) -> ct.StateSpace:
         """Series connection; PH if `other` is a positive number: `B` is scaled by its square root."""
         if is_number(other) and 0 < other < np.inf:
             return self._scaled(float(other))
         return super().__mul__(other)
 
-    def __rmul__(self, other: Any) -> Any:
+    def __rmul__(self, other: ct.StateSpace | ArrayLike) -> ct.StateSpace:
         """Series connection; PH if `other` is a positive number."""
         if is_number(other) and 0 < other < np.inf:
             return self._scaled(float(other))
         # Python asks the subclass first; StateSpace.__rmul__ would hand the question back without end
         return NotImplemented if isinstance(other, ct.StateSpace) else super().__rmul__(other)
 
-    def feedback(self, other: Any = 1, sign: int = -1) -> Any:
+    def feedback(self, other: ct.StateSpace | ArrayLike = 1, sign: int = -1) -> ct.StateSpace:
         """Feedback loop, PH for negative feedback through a PH system or a matrix that only takes energy.
 
         Parameters
@@ -462,7 +462,7 @@ class PortHamiltonian(LosslessSystem):
         except AttributeError:  # of python-control, which finds no system in it
             raise TypeError(f"a {type(other).__name__} cannot be the feedback of a system") from None
 
-    def append(self, other: Any) -> Any:
+    def append(self, other: ct.StateSpace | ArrayLike) -> ct.StateSpace:
         """Systems side by side, PH with a PH system or with a gain that takes energy.
 
         Parameters
@@ -510,14 +510,14 @@ class PortHamiltonian(LosslessSystem):
         """Views of these names, as far as they have been computed, of a system that was given by matrices."""
         return {} if self._given is None else {name: self._views[name] for name in names if name in self._views}
 
-    def _told(self) -> dict[str, Any]:
+    def _attached(self) -> dict[str, Any]:
         """Attributes that are set after a system was made, for pickles."""
         names = "time_unit", "structural_modes", "base_motion", "error_bound", "cost"
         return {name: getattr(self, name) for name in names}
 
     def __reduce__(self) -> tuple[Any, ...]:
         known = self._given, self._modes, self._names(), self._kept(_OF_Q_AND_B)
-        return restored, (type(self), *known), self._told()
+        return restored, (type(self), *known), self._attached()
 
     def _repr_eval_(self) -> str:
         if self._given is not None:
@@ -586,7 +586,7 @@ class PortHamiltonian(LosslessSystem):
         return oh(self, **names)
 
 
-def is_number(value: object) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
     """Whether it is a number, True and False excepted."""
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 

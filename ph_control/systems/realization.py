@@ -30,7 +30,7 @@ _SURE_GAP = 2e-6  # relative gap of frequencies beyond which weights, however co
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class KalmanDecomposition(Sequence[Any]):
+class KalmanDecomposition(Sequence["PortHamiltonian | Array"]):
     """A system as the direct sum of what its port reaches and what it does not; made by `kalman_decomposition`.
 
     A sequence of three: `reachable, hidden, T = kalman_decomposition(sys)`.
