@@ -76,10 +76,10 @@ def netlist(sys: Convertible, form: str | None = None, *, kind: str = "admittanc
     --------
     >>> import ph_control as phc
     >>> sys = phc.lc_circuit(C=[1.0, 0.5], L=[1.0, 0.25])
-    >>> [(one.name, round(one.value, 6)) for one in phc.netlist(sys).elements]
+    >>> [(element.name, round(element.value, 6)) for element in phc.netlist(sys).elements]
     [('L1', 1.0), ('C1', 1.0), ('L2', 0.25), ('C2', 0.5)]
     >>> ladder = phc.netlist(sys, "cauer1")
-    >>> [(one.name, round(one.value, 6), one.nodes) for one in ladder.elements]
+    >>> [(element.name, round(element.value, 6), element.nodes) for element in ladder.elements]
     [('L1', 0.2, ('1', '2')), ('C1', 0.757576, ('2', '0')), ('L2', 1.111224, ('2', '3')), ('C2', 0.742424, ('3', '0'))]
     """
     kind = _checks.choice("kind", kind, KINDS)

@@ -69,8 +69,8 @@ def observer(
     >>> estimator = phc.observer(sys)
     >>> t, u = np.linspace(0.0, 60.0, 601), np.zeros(601)
     >>> seen = phc.forced_response(sys, t, u, [0.1, 0.2, 0.0, 0.0])
-    >>> found = phc.forced_response(estimator, t, np.vstack([u, seen.outputs]))
-    >>> bool(np.abs(found.outputs[2:] - seen.states)[:, -1].max() < 1e-3)
+    >>> estimated = phc.forced_response(estimator, t, np.vstack([u, seen.outputs]))
+    >>> bool(np.abs(estimated.outputs[2:] - seen.states)[:, -1].max() < 1e-3)
     True
     """
     plant(sys)

@@ -172,8 +172,8 @@ def optimal_damping(
     A tuned mass damper of 5 % of the mass, for white noise: the closed form of Warburton.
 
     >>> import ph_control as phc
-    >>> found = phc.optimal_damping(phc.spring_chain([1.0], ground=1.0), mass=0.05, outputs="displacement")
-    >>> print(f"{found.tuned_frequencies[0]:.7f} {found.tuned_damping_ratios[0]:.7f}")
+    >>> tuned = phc.optimal_damping(phc.spring_chain([1.0], ground=1.0), mass=0.05, outputs="displacement")
+    >>> print(f"{tuned.tuned_frequencies[0]:.7f} {tuned.tuned_damping_ratios[0]:.7f}")
     0.9642122 0.1097722
     """
     plant(sys)

@@ -258,8 +258,8 @@ def couple(first: PortHamiltonian, second: PortHamiltonian, *, ports: Ports = (0
     Two chains of one mass each, joined to one of three springs and a mass of 2 kg:
 
     >>> import ph_control as phc
-    >>> left, right = (phc.spring_chain([1.0], ground=k) for k in (3.0, 5.0))
-    >>> joined = phc.couple(left, right)
+    >>> first, second = (phc.spring_chain([1.0], ground=k) for k in (3.0, 5.0))
+    >>> joined = phc.couple(first, second)
     >>> joined.d, joined.Q.diagonal()
     (array([2.]), array([8. , 0.5]))
     """
