@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.sparse.csgraph import connected_components
 
 from .. import _checks
 from .._types import Array
 from ..exceptions import StructureError
-from ..modal.general_form import GeneralModalForm, real_matrices
+from ..modal.general_form import matrices_of
+from ..systems.base import Convertible
 from ..systems.port_hamiltonian import PortHamiltonian, modes, ph
 from .elements import Element, Netlist
 
 TITLE = "State space"
 
 
-def controlled_sources(sys: Any, kind: str) -> Netlist:
+def controlled_sources(sys: Convertible, kind: str) -> Netlist:
     """Netlist of a passive model whose first outputs are its ports, further ones voltages of nodes of their own."""
     A, B, C, D = _matrices(sys)
     m = B.shape[1]
@@ -40,19 +38,14 @@ def controlled_sources(sys: Any, kind: str) -> Netlist:
     return Netlist(tuple(draft.elements), ports, "state-space", kind, f"{TITLE} of an {kind}")
 
 
-def _matrices(sys: Any) -> tuple[Array, Array, Array, Array]:
+def _matrices(sys: Convertible) -> tuple[Array, Array, Array, Array]:
     """Real state space of a passive model in modal coordinates, of few entries."""
     inputs = getattr(sys, "ninputs", None)
     if not isinstance(sys, PortHamiltonian):
         several = isinstance(inputs, int) and getattr(sys, "noutputs", inputs) > inputs
         sys = ph(sys, ports=[(k, k) for k in range(inputs)]) if several and inputs else ph(sys)
     form = modes(sys)
-    A, B, C = real_matrices(*form.equations)
-    if isinstance(form, GeneralModalForm):
-        A = block_diag(A, *(block.A for block in form.clusters))
-        B = np.concatenate([B, *(block.B for block in form.clusters)])
-        C = np.hstack([C, *(block.C for block in form.clusters)])
-    return A, B, C, np.asarray(form.feedthrough, float)
+    return *matrices_of(form), np.asarray(form.feedthrough, float)
 
 
 def _of_one_size(A: Array, B: Array, C: Array) -> tuple[Array, Array]:

@@ -99,7 +99,7 @@ class Netlist(Frozen):
         .end
         """
         sources = [f"{port.name} {' '.join(port.nodes)} DC 0 AC 1" for port in self.ports]
-        lines = [f"{one.name} {' '.join(one.nodes)} {one.value!r}" for one in self.elements]
+        lines = [f"{element.name} {' '.join(element.nodes)} {element.value!r}" for element in self.elements]
         return "\n".join([self.title, *sources, *lines, ".options noopac", ".end", ""])
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

@@ -50,12 +50,12 @@ def reciprocal(d: Array, r: Array, kappa_0: float) -> tuple[float, float, list[t
     def expand() -> list[Decimal]:
         x, weights = _measure(d, r, kappa_0)
         flexibility = Decimal(0) if kappa_0 > 0 else sum((w / p for w, p in zip(weights, x, strict=True)), Decimal(0))
-        found = [1 / sum(weights, Decimal(0)), flexibility]
+        coefficients = [1 / sum(weights, Decimal(0)), flexibility]
         order = sorted(range(len(x)), key=x.__getitem__)
         for low, high in pairwise(order):
             z, slope = _zero(x, weights, x[low], x[high])
-            found += [z * slope, 1 / (z * z * slope)]
-        return found
+            coefficients += [z * slope, 1 / (z * z * slope)]
+        return coefficients
 
     a, flexibility, *pairs = _settled(expand)
     tanks = list(zip(pairs[::2], pairs[1::2], strict=True))
@@ -63,9 +63,9 @@ def reciprocal(d: Array, r: Array, kappa_0: float) -> tuple[float, float, list[t
 
 
 def _measure(d: Array, r: Array, kappa_0: float) -> Measure:
-    frequencies, weights = [Decimal(float(one)) for one in d], [Decimal(float(one)) for one in r]
-    points = [one * one for one in frequencies]
-    residues = [one * weight for one, weight in zip(frequencies, weights, strict=True)]
+    frequencies, weights = [Decimal(float(frequency)) for frequency in d], [Decimal(float(weight)) for weight in r]
+    points = [frequency * frequency for frequency in frequencies]
+    residues = [frequency * weight for frequency, weight in zip(frequencies, weights, strict=True)]
     at_zero = [Decimal(kappa_0)] if kappa_0 > 0 else []
     return [Decimal(0)] * len(at_zero) + points, at_zero + residues
 
@@ -77,14 +77,14 @@ def _settled(expand: Callable[[], list[Decimal]]) -> list[float]:
         with localcontext(_WIDE) as context:
             context.prec = digits
             try:
-                found = expand()
+                values = expand()
             except ArithmeticError:  # a divisor that vanished by cancellation
-                found = [Decimal(-1)]
-            positive = all(one >= 0 for one in found)
+                values = [Decimal(-1)]
+            positive = all(value >= 0 for value in values)
             if before is not None and positive:
-                if all(abs(new - old) <= _AGREED * new for new, old in zip(found, before, strict=True)):
-                    return [float(one) for one in found]
-            before = found if positive else None
+                if all(abs(new - old) <= _AGREED * new for new, old in zip(values, before, strict=True)):
+                    return [float(value) for value in values]
+            before = values if positive else None
         digits *= 2
     raise AssertionError("decimal arithmetic did not settle")
 
@@ -97,22 +97,22 @@ def _stieltjes(x: list[Decimal], weights: list[Decimal], singular: bool) -> list
     n, total = len(x), sum(weights, Decimal(0))
     # vectors without scale: w_l v_l^2 is what a normalised vector would have as the square of its entry
     last, vector, norm, e = [Decimal(0)] * n, [Decimal(1)] * n, total, Decimal(0)
-    beta, found = Decimal(0), [1 / total]
+    beta, coefficients = Decimal(0), [1 / total]
     for j in range(n):
         squares = [w * v * v for w, v in zip(weights, vector, strict=True)]
-        alpha = sum((p * one for p, one in zip(x, squares, strict=True)), Decimal(0)) / norm
+        alpha = sum((p * square for p, square in zip(x, squares, strict=True)), Decimal(0)) / norm
         q = alpha - e
         if singular and j == n - 1:
             break
-        found.append(1 / (found[-1] * q))
+        coefficients.append(1 / (coefficients[-1] * q))
         if j == n - 1:
             break
         new = [(p - alpha) * v - beta * u for p, v, u in zip(x, vector, last, strict=True)]
         size = sum((w * v * v for w, v in zip(weights, new, strict=True)), Decimal(0))
         beta, last, vector, norm = size / norm, vector, new, size
         e = beta / q
-        found.append(1 / (found[-1] * e))
-    return found
+        coefficients.append(1 / (coefficients[-1] * e))
+    return coefficients
 
 
 def _zero(x: list[Decimal], weights: list[Decimal], low: Decimal, high: Decimal) -> tuple[Decimal, Decimal]:
@@ -121,19 +121,19 @@ def _zero(x: list[Decimal], weights: list[Decimal], low: Decimal, high: Decimal)
     Newton's rule on `f (z - low)(high - z)`, which is finite at both ends, within a bracket that is halved where the
     rule would leave it.
     """
-    left, right, z = low, high, (low + high) / 2
+    lower, upper, z = low, high, (low + high) / 2
     for _ in range(8 * getcontext().prec):
         inverse = [1 / (p - z) for p in x]
-        terms = [w * one for w, one in zip(weights, inverse, strict=True)]
+        terms = [w * factor for w, factor in zip(weights, inverse, strict=True)]
         value = sum(terms, Decimal(0))
-        slope = sum((term * one for term, one in zip(terms, inverse, strict=True)), Decimal(0))
+        slope = sum((term * factor for term, factor in zip(terms, inverse, strict=True)), Decimal(0))
         # f rises from -inf to inf
-        left, right = (z, right) if value < 0 else (left, z)
+        lower, upper = (z, upper) if value < 0 else (lower, z)
         product, change = (z - low) * (high - z), low + high - 2 * z
         tilt = slope * product + value * change
-        new = z - value * product / tilt if tilt > 0 else left
-        if not left < new < right:
-            new = (left + right) / 2
+        new = z - value * product / tilt if tilt > 0 else lower
+        if not lower < new < upper:
+            new = (lower + upper) / 2
         # to the digits of the distances from both points
         if value == 0 or abs(new - z) <= Decimal("1e-22") * min(z - low, high - z):
             return z, slope

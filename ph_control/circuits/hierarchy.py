@@ -319,11 +319,13 @@ def _scope_around(block: Block, placed: _Placed) -> _Scope | None:
 
 def _without_wires(elements: list[Element]) -> list[Element]:
     """Elements between nodes that no wire joins: R = 0 and L = 0 make two nodes one, and C = 0 is nothing."""
-    coupled = {name.upper() for one in elements if one.letter == "K" and one.value for name in one.nodes}
-    wires = [one for one in elements if one.letter in "RL" and not one.value]
-    for one in wires:
-        if one.name.upper() in coupled:
-            raise FileFormatError(f"{one.name} is 0 and coupled; give it an inductance, or delete its coupling")
+    coupled = {
+        name.upper() for element in elements if element.letter == "K" and element.value for name in element.nodes
+    }
+    wires = [element for element in elements if element.letter in "RL" and not element.value]
+    for wire in wires:
+        if wire.name.upper() in coupled:
+            raise FileFormatError(f"{wire.name} is 0 and coupled; give it an inductance, or delete its coupling")
     first: dict[str, str] = {}
 
     def end(node: str) -> str:
@@ -331,14 +333,17 @@ def _without_wires(elements: list[Element]) -> list[Element]:
             node = first[node]
         return node
 
-    for one in wires:
+    for wire in wires:
         # ground keeps its name, and otherwise the node of which the wire begins
-        kept, gone = sorted(map(end, one.nodes), key=lambda node: node != "0")
+        kept, gone = sorted(map(end, wire.nodes), key=lambda node: node != "0")
         if kept != gone:
             first[gone] = kept
     ends = {"K": 0, "F": 2}
     return [
-        replace(one, nodes=(*map(end, one.nodes[: ends.get(one.letter)]), *one.nodes[ends.get(one.letter, 4) :]))
-        for one in elements
-        if one.value or one.letter not in "RLCK"
+        replace(
+            element,
+            nodes=(*map(end, element.nodes[: ends.get(element.letter)]), *element.nodes[ends.get(element.letter, 4) :]),
+        )
+        for element in elements
+        if element.value or element.letter not in "RLCK"
     ]

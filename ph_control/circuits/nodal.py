@@ -172,7 +172,7 @@ class NetlistFunction(Frozen):
         return _system(elements, dict(self._labels))
 
 
-def _opened(elements: Sequence[Element], parameters: Any, labels: dict[str, Any]) -> NetlistFunction:
+def _opened(elements: Sequence[Element], parameters: Sequence[str], labels: dict[str, Any]) -> NetlistFunction:
     """A circuit with the values of some elements left open."""
     named = isinstance(parameters, list | tuple) and all(isinstance(name, str) for name in parameters)
     if not named:
@@ -308,8 +308,8 @@ class _Coils:
     """
 
     def __init__(self, elements: Sequence[Element]) -> None:
-        coils = [one for one in elements if one.letter == "L"]
-        root, coupling = np.sqrt([one.value for one in coils]), _couplings(coils, elements)
+        coils = [element for element in elements if element.letter == "L"]
+        root, coupling = np.sqrt([coil.value for coil in coils]), _couplings(coils, elements)
         tolerance = _ROUNDING * max(1, len(coils)) * _checks.EPS
         independent: list[int] = []
         self.constraints: list[tuple[Element, list[tuple[Element, float]]]] = []
@@ -326,27 +326,27 @@ class _Coils:
                 self.constraints.append((coils[k], [(coils[j], x) for j, x in zip(kept, ratios, strict=True) if x]))
             independent += kept
         kept = sorted(independent)
-        self.dependent = {one.name for one, _ in self.constraints}
+        self.dependent = {coil.name for coil, _ in self.constraints}
         self.inductance = np.asarray(root[kept, None] * coupling[np.ix_(kept, kept)] * root[kept])
 
 
 def _couplings(coils: list[Element], elements: Sequence[Element]) -> Array:
     """Symmetric matrix of couplings, with a diagonal of 1; one with a negative eigenvalue is refused."""
-    number = {one.name.upper(): k for k, one in enumerate(coils)}
+    number = {coil.name.upper(): k for k, coil in enumerate(coils)}
     coupling = np.eye(len(coils))
-    for one in elements:
-        if one.letter != "K":
+    for element in elements:
+        if element.letter != "K":
             continue
-        missing = [name for name in one.nodes if name.upper() not in number]
-        if missing or one.nodes[0].upper() == one.nodes[1].upper():
+        missing = [name for name in element.nodes if name.upper() not in number]
+        if missing or element.nodes[0].upper() == element.nodes[1].upper():
             raise FileFormatError(
-                f"{one.name} couples {one.nodes[0]} and {one.nodes[1]}: "
+                f"{element.name} couples {element.nodes[0]} and {element.nodes[1]}: "
                 + (f"there is no inductor {missing[0]}" if missing else "name two inductors")
             )
-        i, j = (number[name.upper()] for name in one.nodes)
+        i, j = (number[name.upper()] for name in element.nodes)
         if coupling[i, j]:
-            raise FileFormatError(f"{one.name}: {one.nodes[0]} and {one.nodes[1]} are coupled twice")
-        coupling[i, j] = coupling[j, i] = one.value
+            raise FileFormatError(f"{element.name}: {element.nodes[0]} and {element.nodes[1]} are coupled twice")
+        coupling[i, j] = coupling[j, i] = element.value
     least = min((float(np.linalg.eigvalsh(coupling[np.ix_(g, g)])[0]) for g in _groups(coupling)), default=1.0)
     if least < -_ROUNDING * len(coils) * _checks.EPS:
         raise StructureError(
@@ -368,8 +368,8 @@ def _groups(coupling: Array) -> list[list[int]]:
 def _incidence(elements: Sequence[Element], number: dict[str, int]) -> Array:
     """Voltages of elements by those of the nodes, one row each; ground is no column."""
     A = np.zeros((len(elements), len(number)))
-    for row, one in zip(A, elements, strict=True):
-        for node, sign in zip(one.nodes[:2], (1.0, -1.0), strict=True):
+    for row, element in zip(A, elements, strict=True):
+        for node, sign in zip(element.nodes[:2], (1.0, -1.0), strict=True):
             if node != "0":
                 row[number[node]] += sign
     return A
@@ -379,30 +379,35 @@ class _Transformers:
     """Controlled sources and coils without leakage as constraints: of the voltages, and of the currents they take."""
 
     def __init__(self, elements: Sequence[Element], coils: _Coils) -> None:
-        names = {node for one in elements if one.letter != "K" for node in one.nodes[: 4 if one.letter == "E" else 2]}
+        names = {
+            node
+            for element in elements
+            if element.letter != "K"
+            for node in element.nodes[: 4 if element.letter == "E" else 2]
+        }
         self.number = {node: k for k, node in enumerate(sorted(names - {"0"}))}
-        sources = {one.name.upper(): one for one in elements if one.letter == "V"}
-        voltages = [one for one in elements if one.letter == "E"]
-        currents = [one for one in elements if one.letter == "F"]
-        for one in currents:
-            if one.nodes[2].upper() not in sources:
+        sources = {element.name.upper(): element for element in elements if element.letter == "V"}
+        voltages = [element for element in elements if element.letter == "E"]
+        currents = [element for element in elements if element.letter == "F"]
+        for source in currents:
+            if source.nodes[2].upper() not in sources:
                 raise FileFormatError(
-                    f"{one.name} is controlled by {one.nodes[2]}, and there is no such voltage source"
+                    f"{source.name} is controlled by {source.nodes[2]}, and there is no such voltage source"
                 )
-        sensing = {one.nodes[2].upper(): sources[one.nodes[2].upper()] for one in currents}
-        self.sensing = {one.name for one in sensing.values()}
+        sensing = {source.nodes[2].upper(): sources[source.nodes[2].upper()] for source in currents}
+        self.sensing = {source.name for source in sensing.values()}
         output, sense = _incidence(voltages, self.number), _incidence(list(sensing.values()), self.number)
-        control = _incidence([Element(one.name, one.nodes[2:], 0.0) for one in voltages], self.number)
-        gain = np.array([one.value for one in voltages])
+        control = _incidence([Element(source.name, source.nodes[2:], 0.0) for source in voltages], self.number)
+        gain = np.array([source.value for source in voltages])
         # coils: the constraint does no work, so that the currents which it takes are those of the same rows
-        wound = _incidence([one for one, _ in coils.constraints], self.number)
+        wound = _incidence([coil for coil, _ in coils.constraints], self.number)
         for row, (_, others) in zip(wound, coils.constraints, strict=True):
-            row -= np.array([x for _, x in others]) @ _incidence([one for one, _ in others], self.number)
+            row -= np.array([x for _, x in others]) @ _incidence([coil for coil, _ in others], self.number)
         self.controlled = len(output) + len(sense)
         self.of_voltages = np.vstack([output - gain[:, None] * control, sense, wound])
         taken = sense.copy()
-        for row, one in zip(_incidence(currents, self.number), currents, strict=True):
-            taken[list(sensing).index(one.nodes[2].upper())] += one.value * row
+        for row, source in zip(_incidence(currents, self.number), currents, strict=True):
+            taken[list(sensing).index(source.nodes[2].upper())] += source.value * row
         self.of_currents = np.vstack([output, taken, wound])
 
 
@@ -429,8 +434,8 @@ def _allowed(constraints: Array, A: Array, controlled: int) -> tuple[Array, list
     if basis[:controlled] != list(range(controlled)):
         raise StructureError("the controlled sources contradict or repeat each other; leave out those that do")
     k = len(constraints)
-    met = sum(one < k for one in basis)  # coils side by side may repeat a constraint
-    return table[k:, met:], [one - k for one in basis[met:]]
+    met = sum(row < k for row in basis)  # coils side by side may repeat a constraint
+    return table[k:, met:], [row - k for row in basis[met:]]
 
 
 def _echelon(rows: Array) -> tuple[Array, list[int]]:
@@ -507,7 +512,7 @@ def _kirchhoff(branches: _Branches) -> Array:
 
 
 def _refuse_unconnected(elements: Sequence[Element]) -> None:
-    joined = [one.nodes[:2] for one in elements if one.letter != "K"]
+    joined = [element.nodes[:2] for element in elements if element.letter != "K"]
     names = sorted({node for pair in joined for node in pair})
     if "0" not in names:
         raise StructureError("the netlist has no ground; call one node 0")
@@ -515,7 +520,7 @@ def _refuse_unconnected(elements: Sequence[Element]) -> None:
     ends = np.array([[number[a], number[b]] for a, b in joined]).T
     graph = coo_array((np.ones(len(joined)), (ends[0], ends[1])), shape=(len(names),) * 2)
     _, label = connected_components(graph, directed=False)
-    apart = [node for node, one in zip(names, label, strict=True) if one != label[number["0"]]]
+    apart = [node for node, component in zip(names, label, strict=True) if component != label[number["0"]]]
     if apart:
         raise StructureError(
             f"node {', '.join(apart[:5])} is not connected to ground, also through no other node; join that part to "
@@ -526,14 +531,14 @@ def _refuse_unconnected(elements: Sequence[Element]) -> None:
 def _refuse_contradictions(circuit: _Branches) -> None:
     branches, F, tree = circuit.each, circuit.F, circuit.tree
     inside = set(tree)
-    for k, one in enumerate(branches):
+    for k, branch in enumerate(branches):
         letters = [branches[t].letter for t in tree]
-        if k not in inside and one.letter in "VC":
+        if k not in inside and branch.letter in "VC":
             met = np.flatnonzero(F[k])
-            loop = ", ".join([one.name, *(branches[tree[t]].name for t in met)])
-            if one.letter == "V" and not len(met):
-                raise StructureError(f"{one.name} is short-circuited; open the circuit, or leave the source out")
-            if one.letter == "V":
+            loop = ", ".join([branch.name, *(branches[tree[t]].name for t in met)])
+            if branch.letter == "V" and not len(met):
+                raise StructureError(f"{branch.name} is short-circuited; open the circuit, or leave the source out")
+            if branch.letter == "V":
                 raise StructureError(f"{loop} are a loop of voltage sources, whose voltages cannot be chosen; open it")
             if any(letters[t] == "V" for t in met):
                 raise StructureError(
@@ -541,10 +546,10 @@ def _refuse_contradictions(circuit: _Branches) -> None:
                     "voltage, which no port-Hamiltonian system has; put a resistor in series with the source, or "
                     "drive it by a current source"
                 )
-        if k in inside and one.letter in "LI":
+        if k in inside and branch.letter in "LI":
             others = [m for m in np.flatnonzero(F[:, tree.index(k)]) if m != k]
-            cut = ", ".join([one.name, *(branches[m].name for m in others)])
-            if one.letter == "I":
+            cut = ", ".join([branch.name, *(branches[m].name for m in others)])
+            if branch.letter == "I":
                 raise StructureError(
                     f"{cut} are a cut set of current sources, whose currents cannot be chosen; join the two sides"
                 )

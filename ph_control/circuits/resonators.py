@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import control as ct
 import numpy as np
@@ -25,6 +24,7 @@ from .._checks import EPS
 from .._types import Array, ComplexArray, NDArray
 from ..exceptions import NotLosslessError, StructureError
 from ..modal.modal_form import ModalForm
+from ..systems.base import Convertible
 from ..systems.dissipative import DissipativePortHamiltonian
 from ..systems.passive_form import Conversion, PortRows, passive_parts
 from ..systems.port_hamiltonian import ph
@@ -62,7 +62,7 @@ class Resonators:
 OnePort = tuple[Array, Array, float]
 
 
-def resonators_of(sys: Any) -> tuple[Resonators, OnePort | None]:
+def resonators_of(sys: Convertible) -> tuple[Resonators, OnePort | None]:
     """Resonators of a system, and frequencies, weights and pole at 0 of a lossless one-port."""
     system = sys if isinstance(sys, ModalForm) and sys.is_lossless else ph(sys)
     if isinstance(system, DissipativePortHamiltonian):
@@ -95,7 +95,7 @@ def _of_lossless(modes: ModalForm) -> Resonators:
     return Resonators(modes.nports, resonators, at_zero, [], np.zeros(modes.nports))
 
 
-def _ratios(nu: Any) -> tuple[Array, float]:
+def _ratios(nu: Array | ComplexArray) -> tuple[Array, float]:
     """Real ratios, the largest 1, and the square of what they are multiplied by, of the weights of a mode."""
     lead = nu[np.abs(nu).argmax()]
     psi = nu / lead
@@ -117,7 +117,7 @@ def _of_energy(system: DissipativePortHamiltonian) -> Resonators | None:
     root = _root(system.Q)
     J, R, G = root @ system.J @ root.T, root @ system.R @ root.T, root @ system.G
     J, R = _without_noise(J, R)
-    found: list[tuple[float, float, Array]] = []  # frequency, loss and part in the ports of each mode
+    all_modes: list[tuple[float, float, Array]] = []  # frequency, loss and part in the ports of each mode
     joined = coo_array((J != 0) | (R != 0))
     count, label = connected_components(joined, directed=False)
     for states in np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label, minlength=count))[:-1]):
@@ -130,11 +130,11 @@ def _of_energy(system: DissipativePortHamiltonian) -> Resonators | None:
         modes = _modes_of_halves(j[np.ix_(~moving, moving)], r[np.ix_(moving, moving)], g[moving])
         if modes is None:
             return None
-        found += modes
+        all_modes += modes
     through = system.S + system.N
-    if not any(loss for _, loss, _ in found) and not through.any():
+    if not any(loss for _, loss, _ in all_modes) and not through.any():
         return None  # lossless, which has more forms
-    return _sorted(found, _diagonal(through))
+    return _sorted(all_modes, _diagonal(through))
 
 
 def _root(Q: Array) -> Array:
@@ -268,10 +268,10 @@ def _beside(d: Array, loss: Array, F: Array, stiff: Array, lossy: Array) -> floa
     return float(np.max(changed) / np.max(np.sum(h * h, axis=1)))
 
 
-def _sorted(found: list[tuple[float, float, Array]], feedthrough: Array) -> Resonators:
+def _sorted(modes: list[tuple[float, float, Array]], feedthrough: Array) -> Resonators:
     """Resonators by their frequency; modes of one frequency and one loss are as few as their parts in the ports."""
     result = Resonators(len(feedthrough), [], [], [], feedthrough)
-    for d, loss, F in _merged(sorted(found, key=lambda mode: mode[:2])):
+    for d, loss, F in _merged(sorted(modes, key=lambda mode: mode[:2])):
         psi, kappa = _ratios(F)
         kind = result.modes if d else result.relaxations if loss else result.poles_at_zero
         kind.append(Resonator(kappa, psi, loss, kappa / d**2 if d else 0.0))
@@ -297,13 +297,13 @@ def _merged(modes: list[tuple[float, float, Array]]) -> Iterator[tuple[float, fl
 
 def _refuse_complex_residues(given: PortRows) -> None:
     """Refuse a system of which a residue at a single damped pole is known, and is none of classical damping."""
-    poles, left, right = eig(given.A, left=True)
-    product = np.sum(left.conj() * right, axis=0)
+    poles, left_vectors, right_vectors = eig(given.A, left=True)
+    product = np.sum(left_vectors.conj() * right_vectors, axis=0)
     with np.errstate(all="ignore"):
         condition = 1.0 / np.abs(product)
         gap = np.abs(poles[:, None] - poles) + np.where(np.eye(len(poles)), np.inf, 0.0)
         error = len(poles) * EPS * np.linalg.norm(given.A) * condition * condition.max() / gap.min(axis=1)
-        b, c = (left.conj().T @ given.B) / product[:, None], given.C @ right
+        b, c = (left_vectors.conj().T @ given.B) / product[:, None], given.C @ right_vectors
         K: ComplexArray = np.einsum("pl,lm->lpm", c, b) * (2j * poles.imag / poles)[:, None, None]
     size = np.linalg.norm(K, axis=(1, 2))
     damped = (poles.imag > 0) & (poles.real < -_CERTAIN * _CERTAIN * np.abs(poles))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from .. import _checks
 from .._types import Array
 from ..exceptions import StructureError
+from ..systems.base import Convertible
 from .controlled import controlled_sources
 from .elements import Element, Netlist
 from .expansions import continued_fraction, continued_fraction_at_zero, reciprocal
@@ -20,7 +19,7 @@ _DIRECT = {"admittance": "foster2", "impedance": "foster1"}  # the partial fract
 _TITLES = {"foster1": "Foster I", "foster2": "Foster II", "cauer1": "Cauer I", "cauer2": "Cauer II"}
 
 
-def netlist(sys: Any, form: str | None = None, *, kind: str = "admittance") -> Netlist:
+def netlist(sys: Convertible, form: str | None = None, *, kind: str = "admittance") -> Netlist:
     """Circuit with the transfer function of a system: positive elements, or controlled sources.
 
     Parameters
@@ -77,10 +76,10 @@ def netlist(sys: Any, form: str | None = None, *, kind: str = "admittance") -> N
     --------
     >>> import ph_control as phc
     >>> sys = phc.lc_circuit(C=[1.0, 0.5], L=[1.0, 0.25])
-    >>> [(one.name, round(one.value, 6)) for one in phc.netlist(sys).elements]
+    >>> [(element.name, round(element.value, 6)) for element in phc.netlist(sys).elements]
     [('L1', 1.0), ('C1', 1.0), ('L2', 0.25), ('C2', 0.5)]
     >>> ladder = phc.netlist(sys, "cauer1")
-    >>> [(one.name, round(one.value, 6), one.nodes) for one in ladder.elements]
+    >>> [(element.name, round(element.value, 6), element.nodes) for element in ladder.elements]
     [('L1', 0.2, ('1', '2')), ('C1', 0.757576, ('2', '0')), ('L2', 1.111224, ('2', '3')), ('C2', 0.742424, ('3', '0'))]
     """
     kind = _checks.choice("kind", kind, KINDS)
@@ -144,33 +143,33 @@ class _Draft:
     def side_by_side(self, parts: Resonators) -> None:
         """Branches across the ports of an admittance; tanks in series at those of an impedance."""
         every = [*parts.poles_at_zero, *parts.relaxations, *parts.modes]
-        plain = [one for one in every if np.count_nonzero(one.psi) == 1]
-        turned = [one for one in every if np.count_nonzero(one.psi) > 1]
+        plain = [resonator for resonator in every if np.count_nonzero(resonator.psi) == 1]
+        turned = [resonator for resonator in every if np.count_nonzero(resonator.psi) > 1]
         # of each port the number of parts in series, of which the last one ends at ground
-        left = [0] * parts.ports
+        remaining = [0] * parts.ports
         conductances = [(k, float(g)) for k, g in enumerate(parts.feedthrough) if g > 0]
-        for k in [*(k for k, _ in conductances), *(int(np.flatnonzero(one.psi)[0]) for one in plain)]:
-            left[k] += 1
-        for one in turned:
-            for port in np.flatnonzero(one.psi):
-                left[port] += 1
+        for k in [*(k for k, _ in conductances), *(int(np.flatnonzero(resonator.psi)[0]) for resonator in plain)]:
+            remaining[k] += 1
+        for resonator in turned:
+            for port in np.flatnonzero(resonator.psi):
+                remaining[port] += 1
         for k, g in conductances:
-            begin, end = self._place(k, left)
+            begin, end = self._place(k, remaining)
             self._add("R", (begin, end), g if self._dual else 1 / g)
-        for one in plain:
-            self._resonator(one, *self._place(int(np.flatnonzero(one.psi)[0]), left))
-        for one in turned:
-            self._behind_transformers(one, left)
+        for resonator in plain:
+            self._resonator(resonator, *self._place(int(np.flatnonzero(resonator.psi)[0]), remaining))
+        for resonator in turned:
+            self._behind_transformers(resonator, remaining)
         for k, (end, node) in enumerate(zip(self._ends, map(str, range(1, parts.ports + 1)), strict=True)):
             if self._dual and end == node:  # nothing at this port: no voltage whatever the current
                 raise StructureError(f"no mode reaches port {k}, counted from 0; leave that port out")
 
-    def _place(self, port: int, left: list[int]) -> tuple[str, str]:
+    def _place(self, port: int, remaining: list[int]) -> tuple[str, str]:
         """Nodes of the next part at a port."""
         if not self._dual:
             return str(port + 1), "0"
-        begin, left[port] = self._ends[port], left[port] - 1
-        self._ends[port] = self._node() if left[port] else "0"
+        begin, remaining[port] = self._ends[port], remaining[port] - 1
+        self._ends[port] = self._node() if remaining[port] else "0"
         return begin, self._ends[port]
 
     def _resonator(self, mode: Resonator, begin: str, end: str) -> None:
@@ -188,7 +187,7 @@ class _Draft:
             self._add(letter, (begin, far), value)
             begin = far if in_series else begin
 
-    def _behind_transformers(self, mode: Resonator, left: list[int]) -> None:
+    def _behind_transformers(self, mode: Resonator, remaining: list[int]) -> None:
         """A resonator to ground behind ideal transformers, one for each port that it reaches.
 
         Admittance: the branch has the voltage `sum psi_k v_k`, each port the current `psi_k i`.  Impedance: the
@@ -198,7 +197,7 @@ class _Draft:
         inner = self._node()
         if self._dual:
             for k, ratio in reached:
-                begin, end = self._place(k, left)
+                begin, end = self._place(k, remaining)
                 middle = self._node()
                 sense = self._add("VS", (begin, middle), 0.0)
                 self._add("E", (middle, end, inner, "0"), ratio)

@@ -61,11 +61,11 @@ def damping_injection(
     array([0.0752, 0.0334])
     """
     plant(sys)
-    at = port_numbers(sys, ports)
-    return through_ports(sys, controller_of(gain, len(at)), at, **names)
+    port_indices = port_numbers(sys, ports)
+    return through_ports(sys, controller_of(gain, len(port_indices)), port_indices, **names)
 
 
-def plant(sys: Any) -> None:
+def plant(sys: object) -> None:
     """Refuse what is no port-Hamiltonian system."""
     if not isinstance(sys, PortHamiltonian):
         raise StructureError(f"the plant is a {type(sys).__name__}; pass a PortHamiltonian system, made by ph")
@@ -84,7 +84,7 @@ def port_numbers(sys: PortHamiltonian, ports: Any) -> list[int]:
     return numbers
 
 
-def controller_of(gain: Any, k: int) -> PortHamiltonian | Array:
+def controller_of(gain: ArrayLike | PortHamiltonian, k: int) -> PortHamiltonian | Array:
     """A system with k ports, or a matrix of a gain at k ports that takes energy."""
     if isinstance(gain, PortHamiltonian):
         if gain.ninputs != k:

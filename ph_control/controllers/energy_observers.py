@@ -69,58 +69,59 @@ def observer(
     >>> estimator = phc.observer(sys)
     >>> t, u = np.linspace(0.0, 60.0, 601), np.zeros(601)
     >>> seen = phc.forced_response(sys, t, u, [0.1, 0.2, 0.0, 0.0])
-    >>> found = phc.forced_response(estimator, t, np.vstack([u, seen.outputs]))
-    >>> bool(np.abs(found.outputs[2:] - seen.states)[:, -1].max() < 1e-3)
+    >>> estimated = phc.forced_response(estimator, t, np.vstack([u, seen.outputs]))
+    >>> bool(np.abs(estimated.outputs[2:] - seen.states)[:, -1].max() < 1e-3)
     True
     """
     plant(sys)
-    at = port_numbers(sys, ports)
-    refuse_feedthrough(sys, at)
-    chosen = _default_gain(sys, at) if gain is None else gain
+    port_indices = port_numbers(sys, ports)
+    refuse_feedthrough(sys, port_indices)
+    chosen = _default_gain(sys, port_indices) if gain is None else gain
     if isinstance(chosen, PortHamiltonian):
         raise StructureError("the gain of an observer is a matrix; it is a system")
-    K = np.asarray(controller_of(chosen, len(at)))
+    K = np.asarray(controller_of(chosen, len(port_indices)))
     part = parts_of(sys)
-    B = (part["G"] + part["P"])[:, at]
-    into = (part["G"] - part["P"])[:, at]
+    B = (part["G"] + part["P"])[:, port_indices]
+    into = (part["G"] - part["P"])[:, port_indices]
     correction = into @ K
     loss = into @ K @ B.T
     n = len(part["G"])
     skew = part["J"] - 0.5 * (loss - loss.T)
     R = part["R"] + 0.5 * (loss + loss.T)
     G, P = np.hstack([part["G"], correction]), np.hstack([part["P"], np.zeros_like(correction)])
-    through = [np.pad(part[name], ((0, len(at)), (0, len(at)))) for name in "SN"]
-    made = ph(part["Q"], G, J=skew, R=R, P=P, S=through[0], N=through[1], sensors=np.eye(n), **_named(sys, at, names))
+    through = [np.pad(part[name], ((0, len(port_indices)), (0, len(port_indices)))) for name in "SN"]
+    labels = _named(sys, port_indices, names)
+    made = ph(part["Q"], G, J=skew, R=R, P=P, S=through[0], N=through[1], sensors=np.eye(n), **labels)
     made.time_unit = sys.time_unit
     return made
 
 
-def _default_gain(sys: PortHamiltonian, at: list[int]) -> Array:
+def _default_gain(sys: PortHamiltonian, ports: list[int]) -> Array:
     """Gain of each port: that of the largest damping ratio where a mode oscillates at it, else its impedance."""
-    A, into, _, _ = energy_coordinates(sys, at)
-    p, left, right = eig(A, left=True, right=True)
-    overlap = np.abs(np.einsum("ij,ij->j", left.conj(), right))
-    reached = np.abs(left.conj().T @ into[:, at]) * np.abs(right.T @ into[:, at])
+    A, into, _, _ = energy_coordinates(sys, ports)
+    p, left_vectors, right_vectors = eig(A, left=True, right=True)
+    overlap = np.abs(np.einsum("ij,ij->j", left_vectors.conj(), right_vectors))
+    reached = np.abs(left_vectors.conj().T @ into[:, ports]) * np.abs(right_vectors.T @ into[:, ports])
     size, turning = np.abs(p), p.imag > _OSCILLATES * np.abs(p).max(initial=0.0)
-    seen = reached > _REACHED * overlap[:, None] * np.linalg.norm(into[:, at], axis=0) ** 2
-    swings = [k for k in range(len(at)) if seen[turning, k].any()]
-    gains = np.zeros(len(at))
+    seen = reached > _REACHED * overlap[:, None] * np.linalg.norm(into[:, ports], axis=0) ** 2
+    swings = [k for k in range(len(ports)) if seen[turning, k].any()]
+    gains = np.zeros(len(ports))
     if swings:
-        gains[swings] = optimal_damping(sys, [at[k] for k in swings], criterion="damping").gains
+        gains[swings] = optimal_damping(sys, [ports[k] for k in swings], criterion="damping").gains
     moving = size[size > _ROUNDING * len(A) * _checks.EPS * size.max(initial=0.0)]
     rate = float(np.exp(np.mean(np.log(moving)))) if len(moving) else 1.0
-    admittance = np.abs(np.diag(np.asarray(sys.horner(1j * rate))[: sys.ninputs, :, 0])[at])
-    still = np.isin(np.arange(len(at)), swings, invert=True) & (admittance > 0)
+    admittance = np.abs(np.diag(np.asarray(sys.horner(1j * rate))[: sys.ninputs, :, 0])[ports])
+    still = np.isin(np.arange(len(ports)), swings, invert=True) & (admittance > 0)
     gains[still] = 1.0 / admittance[still]
     return gains
 
 
-def _named(sys: PortHamiltonian, at: list[int], names: dict[str, Any]) -> dict[str, Any]:
+def _named(sys: PortHamiltonian, ports: list[int], names: dict[str, Any]) -> dict[str, Any]:
     """Names of the signals of an observer: of the plant where they have any."""
-    measured = [sys.output_labels[k] for k in at]
+    measured = [sys.output_labels[k] for k in ports]
     inputs = [*sys.input_labels, *measured]
-    outputs = [*(f"{one} of the observer" for one in sys.output_labels[: sys.ninputs]),
-               *(f"correction at {one}" for one in measured), *sys.state_labels]  # fmt: skip
+    outputs = [*(f"{label} of the observer" for label in sys.output_labels[: sys.ninputs]),
+               *(f"correction at {label}" for label in measured), *sys.state_labels]  # fmt: skip
     given = {"inputs": inputs, "outputs": outputs, "states": list(sys.state_labels)}
     unique = {kind: labels for kind, labels in given.items() if len(set(labels)) == len(labels)}
     return {**unique, **names}
@@ -182,9 +183,9 @@ def lqg(
     (True, True)
     """
     plant(sys)
-    at = port_numbers(sys, ports)
-    A, into, _, _ = energy_coordinates(sys, at)
-    B, E = into[:, at], _effort(effort, len(at))
+    port_indices = port_numbers(sys, ports)
+    A, into, _, _ = energy_coordinates(sys, port_indices)
+    B, E = into[:, port_indices], _effort(effort, len(port_indices))
     W = np.eye(len(A)) if weight is None else _weight(sys, weight)
     root = np.linalg.cholesky(E)
     scaled = np.linalg.solve(root, B.T)
@@ -196,8 +197,9 @@ def lqg(
     dynamics = A - B @ gained @ X - gained.T @ B.T
     flow = dynamics @ inverse
     labels = {
-        "inputs": [sys.output_labels[k] for k in at], "outputs": [f"{sys.input_labels[k]} feedback" for k in at]
-    }  # fmt: skip
+        "inputs": [sys.output_labels[k] for k in port_indices],
+        "outputs": [f"{sys.input_labels[k]} feedback" for k in port_indices],
+    }
     made = ph(0.5 * (X + X.T), gained.T, J=0.5 * (flow - flow.T), R=0.25 * (loss + loss.T), **{**labels, **names})
     made.time_unit = sys.time_unit
     return made

@@ -8,6 +8,7 @@ from typing import Any
 
 import control as ct
 import numpy as np
+from numpy.typing import DTypeLike
 from scipy.linalg import eig, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
@@ -62,7 +63,7 @@ class OptimalDamping(Frozen):
     cost: float
     cost_before: float
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Array:
         return np.array(self.gains, dtype=dtype)
 
     @property
@@ -171,23 +172,23 @@ def optimal_damping(
     A tuned mass damper of 5 % of the mass, for white noise: the closed form of Warburton.
 
     >>> import ph_control as phc
-    >>> found = phc.optimal_damping(phc.spring_chain([1.0], ground=1.0), mass=0.05, outputs="displacement")
-    >>> print(f"{found.tuned_frequencies[0]:.7f} {found.tuned_damping_ratios[0]:.7f}")
+    >>> tuned = phc.optimal_damping(phc.spring_chain([1.0], ground=1.0), mass=0.05, outputs="displacement")
+    >>> print(f"{tuned.tuned_frequencies[0]:.7f} {tuned.tuned_damping_ratios[0]:.7f}")
     0.9642122 0.1097722
     """
     plant(sys)
     _checks.choice("criterion", criterion, CRITERIA)
-    at = port_numbers(sys, ports)
-    masses = None if mass is None else _masses(mass, len(at))
-    loop = _Loop.of(sys, at, masses, outputs, inputs)
+    port_indices = port_numbers(sys, ports)
+    masses = None if mass is None else _masses(mass, len(port_indices))
+    loop = _Loop.of(sys, port_indices, masses, outputs, inputs)
     if criterion == "fixed points":
         if masses is None:
             raise StructureError("the fixed points are those of tuned mass dampers; give their mass")
-        theta = _tuned(loop, at, masses, _dominant(loop, mode)[0], _fixed_points)
+        theta = _tuned(loop, port_indices, masses, _dominant(loop, mode)[0], _fixed_points)
     else:
-        starts = _starts(loop, sys, at, masses, mode)
+        starts = _starts(loop, sys, port_indices, masses, mode)
         theta = _best(loop, starts, loop.h2 if criterion == "h2" else loop.damping)
-    return _result(sys, at, masses, theta, criterion, loop)
+    return _result(sys, port_indices, masses, theta, criterion, loop)
 
 
 # --- the loop as a function of its constants -------------------------------------------------------------------------
@@ -205,20 +206,23 @@ class _Loop:
     own: int  # states of the plant, which come first
 
     @classmethod
-    def of(cls, sys: PortHamiltonian, at: list[int], masses: Array | None, outputs: Any, inputs: Any) -> _Loop:
+    def of(
+        cls, sys: PortHamiltonian, ports: list[int], masses: Array | None, outputs: str | Sequence[int | str],
+        inputs: Sequence[int | str] | None,
+    ) -> _Loop:  # fmt: skip
         """Loop of a plant with devices whose constants are still 0."""
-        A, B, Cy, sensors = energy_coordinates(sys, at)
+        A, B, Cy, sensors = energy_coordinates(sys, ports)
         C = _performance(sys, A, Cy, sensors, outputs)
         every = inputs is None and isinstance(outputs, str) and outputs == "energy"
         noise = np.eye(len(A)) if every else B[:, port_numbers(sys, inputs)]
-        n, k = len(A), len(at)
+        n, k = len(A), len(ports)
         if masses is None:
-            return cls(A, B[:, at], Cy[at].T, noise, C, n)
+            return cls(A, B[:, ports], Cy[ports].T, noise, C, n)
         # displacement and velocity of each absorber, relative and absolute, beside the plant
         whole = np.zeros((n + 2 * k, n + 2 * k))
         whole[:n, :n] = A
         b, c = np.zeros((n + 2 * k, 2 * k)), np.zeros((n + 2 * k, 2 * k))
-        for j, port in enumerate(at):
+        for j, port in enumerate(ports):
             stretch, speed = n + 2 * j, n + 2 * j + 1
             whole[stretch, :n], whole[stretch, speed] = Cy[port], -1.0
             for kind in (0, 1):
@@ -247,21 +251,21 @@ class _Loop:
 
     def damping(self, theta: Array) -> tuple[float, Array]:
         """Minus the smallest damping ratio, and its gradient by the logarithms of the constants."""
-        p, left, right = eig(self.matrix(theta), left=True, right=True)
+        p, left_vectors, right_vectors = eig(self.matrix(theta), left=True, right=True)
         size = np.maximum(np.abs(p), np.finfo(float).tiny)
         zeta = np.where(np.abs(p) > _EDGE * np.abs(p).max(), -p.real / size, np.inf)
         l = int(np.argmin(zeta))
-        w, v = left[:, l].conj(), right[:, l]
+        w, v = left_vectors[:, l].conj(), right_vectors[:, l]
         slope = -((w @ self.b) * (self.c.T @ v)) / (w @ v)
         change = -slope.real / size[l] + p[l].real * (np.conj(p[l]) * slope).real / size[l] ** 3
         return -float(zeta[l]), -theta * change
 
 
-def refuse_feedthrough(sys: PortHamiltonian, at: Sequence[int]) -> None:
+def refuse_feedthrough(sys: PortHamiltonian, ports: Sequence[int]) -> None:
     """Refuse ports with feedthrough, beside which a gain is another one."""
     part = parts_of(sys)
     through = part["S"] + part["N"]
-    for port in at:
+    for port in ports:
         if through[port].any() or through[:, port].any():
             raise StructureError(
                 f"port {sys.input_labels[port]!r} has feedthrough; devices are chosen for ports without any, such as a "
@@ -269,15 +273,15 @@ def refuse_feedthrough(sys: PortHamiltonian, at: Sequence[int]) -> None:
             )
 
 
-def energy_coordinates(sys: PortHamiltonian, at: Sequence[int]) -> tuple[Array, Array, Array, tuple[Array, Array]]:
+def energy_coordinates(sys: PortHamiltonian, ports: Sequence[int]) -> tuple[Array, Array, Array, tuple[Array, Array]]:
     """`A, B, C` of the ports and the rows of the sensors, for states `x` of the energy `|x|^2 / 2`.
 
     Raises
     ------
     StructureError
-        If a port of `at` has feedthrough, beside which a gain is another one.
+        If one of the ports has feedthrough, beside which a gain is another one.
     """
-    refuse_feedthrough(sys, at)
+    refuse_feedthrough(sys, ports)
     part = parts_of(sys)
     T, back, still = energy_basis(part["Q"])
     rows, through = part["sensor_rows"], part["sensor_feedthrough"]
@@ -287,7 +291,9 @@ def energy_coordinates(sys: PortHamiltonian, at: Sequence[int]) -> tuple[Array, 
     return T @ (part["J"] - part["R"]) @ T.T, T @ (part["G"] - part["P"]), C, (seen, through)
 
 
-def _performance(sys: PortHamiltonian, A: Array, C: Array, sensors: tuple[Array, Array], outputs: Any) -> Array:
+def _performance(
+    sys: PortHamiltonian, A: Array, C: Array, sensors: tuple[Array, Array], outputs: str | Sequence[int | str]
+) -> Array:
     """Rows of what is kept small."""
     if isinstance(outputs, str):
         _checks.choice("outputs", outputs, ("energy", "displacement", "velocity"))
@@ -304,7 +310,7 @@ def _performance(sys: PortHamiltonian, A: Array, C: Array, sensors: tuple[Array,
             f"outputs is {_checks.shown(outputs)}; pass 'energy', 'displacement', 'velocity', or a list of outputs of "
             "the plant by number or name"
         )
-    numbers = [_checks.signal_number("output", one, sys.output_labels) for one in outputs]
+    numbers = [_checks.signal_number("output", output, sys.output_labels) for output in outputs]
     for k in numbers:
         through = sys.D[k]
         if through.any() or np.isnan(rows[k]).any():
@@ -317,20 +323,20 @@ def _performance(sys: PortHamiltonian, A: Array, C: Array, sensors: tuple[Array,
 
 
 def _masses(mass: ArrayLike, k: int) -> Array:
-    found = _checks.real_array("the mass", mass)
-    if found.shape not in ((), (k,)):
-        raise StructureError(f"the mass has shape {found.shape}; give a number, or one for each of {k} devices")
-    if not np.all(found > 0):
-        raise StructureError(f"a mass is {float(found.min()):.4g}; masses of tuned mass dampers are positive")
-    return np.array(np.broadcast_to(found, k))
+    masses = _checks.real_array("the mass", mass)
+    if masses.shape not in ((), (k,)):
+        raise StructureError(f"the mass has shape {masses.shape}; give a number, or one for each of {k} devices")
+    if not np.all(masses > 0):
+        raise StructureError(f"a mass is {float(masses.min()):.4g}; masses of tuned mass dampers are positive")
+    return np.array(np.broadcast_to(masses, k))
 
 
 def _modal_weights(loop: _Loop) -> tuple[Array, Array]:
     """Natural frequencies that are not 0, ascending, and inverse modal masses at the port of each device."""
     n, devices = loop.own, slice(None) if loop.own == len(loop.A) else slice(1, None, 2)
-    p, left, right = eig(loop.A[:n, :n], left=True, right=True)
-    residues = (right.T @ loop.c[:n, devices]) * (left.conj().T @ loop.b[:n, devices])
-    residues /= np.einsum("ij,ij->j", left.conj(), right)[:, None]
+    p, left_vectors, right_vectors = eig(loop.A[:n, :n], left=True, right=True)
+    residues = (right_vectors.T @ loop.c[:n, devices]) * (left_vectors.conj().T @ loop.b[:n, devices])
+    residues /= np.einsum("ij,ij->j", left_vectors.conj(), right_vectors)[:, None]
     order = np.argsort(np.abs(p))
     order = order[p.imag[order] > _EDGE * np.abs(p).max(initial=0.0)]
     p, residues = p[order], residues[order]
@@ -355,29 +361,31 @@ def _fixed_points(mu: float) -> tuple[float, float]:
     return 1 / (1 + mu), np.sqrt(3 * mu / (8 * (1 + mu)))
 
 
-def _tuned(loop: _Loop, at: list[int], masses: Array, mode: int, rule: Callable[[float], tuple[float, float]]) -> Array:
+def _tuned(
+    loop: _Loop, ports: list[int], masses: Array, mode: int, rule: Callable[[float], tuple[float, float]]
+) -> Array:
     """Stiffness and damping constant of each absorber, tuned to a mode by its modal mass at the port."""
     d, weights = _modal_weights(loop)
-    theta = np.empty(2 * len(at))
-    for j, port in enumerate(at):
+    theta = np.empty(2 * len(ports))
+    for j, port in enumerate(ports):
         ratio, zeta = rule(float(masses[j] * weights[mode, j]))
         # absorbers at one port begin beside each other
-        twins = [k for k, other in enumerate(at) if other == port]
+        twins = [k for k, other in enumerate(ports) if other == port]
         frequency = d[mode] * ratio * 1.05 ** (twins.index(j) - 0.5 * (len(twins) - 1))
         theta[2 * j : 2 * j + 2] = masses[j] * frequency**2, 2 * zeta * masses[j] * frequency
     return theta
 
 
-def _starts(loop: _Loop, sys: PortHamiltonian, at: list[int], masses: Array | None, mode: int | None) -> list[Array]:
+def _starts(loop: _Loop, sys: PortHamiltonian, ports: list[int], masses: Array | None, mode: int | None) -> list[Array]:
     if masses is not None:
-        return [_tuned(loop, at, masses, one, _warburton) for one in _dominant(loop, mode)]
+        return [_tuned(loop, ports, masses, dominant, _warburton) for dominant in _dominant(loop, mode)]
     d, weights = _modal_weights(loop)
     reached = weights > 1e-12 * weights.max(initial=0.0)
     # the impedance of a mode at its port, with which a dashpot damps it by half
     impedance = np.where(reached, d[:, None] / np.where(reached, weights, 1.0), np.nan)
     if np.isnan(impedance).all(axis=0).any():
         dead = int(np.flatnonzero(np.isnan(impedance).all(axis=0))[0])
-        raise StructureError(f"port {sys.input_labels[at[dead]]!r} reaches no mode that oscillates")
+        raise StructureError(f"port {sys.input_labels[ports[dead]]!r} reaches no mode that oscillates")
     low, high = np.nanmin(impedance, axis=0), np.nanmax(impedance, axis=0)
     return [low ** (1 - t) * high**t * factor for t in (0.0, 0.5, 1.0) for factor in (0.1, 1.0)]
 
@@ -388,7 +396,7 @@ def _starts(loop: _Loop, sys: PortHamiltonian, at: list[int], masses: Array | No
 def _best(loop: _Loop, starts: list[Array], cost: Callable[[Array], tuple[float, Array]]) -> Array:
     """Constants of the least cost that is reached from any start."""
     _refuse_undamped(loop, starts[0])
-    found = []
+    optima = []
     for start in starts:
         reach = [(-np.log(_REACH), np.log(_REACH))] * len(start)
 
@@ -396,19 +404,19 @@ def _best(loop: _Loop, starts: list[Array], cost: Callable[[Array], tuple[float,
             value, slope = cost(start * np.exp(x))
             return (value, slope) if np.isfinite(value) else (1e3, slope)
 
-        at = minimize(shifted, np.zeros(len(start)), jac=True, method="L-BFGS-B", bounds=reach,
-                      options={"ftol": 1e-16, "gtol": 1e-11, "maxiter": 1000})  # fmt: skip
+        solution = minimize(shifted, np.zeros(len(start)), jac=True, method="L-BFGS-B", bounds=reach,
+                            options={"ftol": 1e-16, "gtol": 1e-11, "maxiter": 1000})  # fmt: skip
         if cost == loop.damping:  # two poles meet at the optimum, where there is no gradient
-            at = minimize(lambda x: shifted(x)[0], at.x, method="Nelder-Mead",
-                          options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 400 * len(start)})  # fmt: skip
-        found.append((float(at.fun), np.abs(at.x).max(), start * np.exp(at.x)))
-    least, reached, theta = min(found, key=lambda one: one[0])
+            solution = minimize(lambda x: shifted(x)[0], solution.x, method="Nelder-Mead",
+                                options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 400 * len(start)})  # fmt: skip
+        optima.append((float(solution.fun), np.abs(solution.x).max(), start * np.exp(solution.x)))
+    least, reached, theta = min(optima, key=lambda optimum: optimum[0])
     if reached > _AT_BORDER * np.log(_REACH):
         # where a mode that no device reaches sets the cost it is flat, and rounding alone improves it out there
-        within = [one for one in found if one[1] <= _AT_BORDER * np.log(_REACH)]
-        flat = [one for one in within if one[0] <= least + _FLAT * abs(least)]
+        within = [optimum for optimum in optima if optimum[1] <= _AT_BORDER * np.log(_REACH)]
+        flat = [optimum for optimum in within if optimum[0] <= least + _FLAT * abs(least)]
         if flat:
-            return min(flat, key=lambda one: one[1])[2]
+            return min(flat, key=lambda optimum: optimum[1])[2]
         raise StructureError(
             f"no optimum: the criterion still improves with constants {_REACH:.0e} times those to start from; another "
             "choice of ports, outputs or criterion has one, or set the gain by damping_injection"
@@ -429,14 +437,14 @@ def _refuse_undamped(loop: _Loop, theta: Array) -> None:
 
 
 def _result(
-    sys: PortHamiltonian, at: list[int], masses: Array | None, theta: Array, criterion: str, loop: _Loop
+    sys: PortHamiltonian, ports: list[int], masses: Array | None, theta: Array, criterion: str, loop: _Loop
 ) -> OptimalDamping:
     if masses is None:
         gains, stiffnesses = theta, None
         controller = _dashpots(gains)
     else:
         stiffnesses, gains = theta[::2], theta[1::2]
-        each = [_absorber(*one) for one in zip(masses, stiffnesses, gains, strict=True)]
+        each = [_absorber(*constants) for constants in zip(masses, stiffnesses, gains, strict=True)]
         controller = each[0] if len(each) == 1 else interconnect(each, np.zeros((len(each),) * 2))
     sign, of = (-1.0, loop.damping) if criterion == "damping" else (1.0, lambda t: (np.exp(loop.h2(t)[0]), None))
     before = np.linalg.eigvals(loop.A[: loop.own, : loop.own])
@@ -449,8 +457,8 @@ def _result(
     else:
         without = float(np.exp(bare.h2(np.empty(0))[0]))
     return OptimalDamping(
-        sys, controller, through_ports(sys, controller, at), tuple(sys.input_labels[k] for k in at), gains, stiffnesses,
-        masses, criterion, sign * float(of(theta)[0]), sign * float(without),
+        sys, controller, through_ports(sys, controller, ports), tuple(sys.input_labels[k] for k in ports), gains,
+        stiffnesses, masses, criterion, sign * float(of(theta)[0]), sign * float(without),
     )  # fmt: skip
 
 

@@ -166,15 +166,17 @@ def _compare_lossless(sys1: LosslessSystem, sys2: LosslessSystem, rtol: float | 
     if not filters:
         return filters
     # the largest relative errors of frequencies
-    worst = sum(float(np.max(found.errors.d / found.modes.d, initial=_checks.EPS)) for found in (first, second))
+    worst = sum(
+        float(np.max(separation.errors.d / separation.modes.d, initial=_checks.EPS)) for separation in (first, second)
+    )
     floor = MARGIN * sys1.n * worst if rtol is None else rtol
     if isinstance(sys1, PortHamiltonian) and isinstance(sys2, PortHamiltonian):
         return _judge(_williamson_candidates(sys1, sys2, float(allowed.max())), sys1, sys2, floor)
     if type(sys1) is type(sys2):
         # the same frequencies and residues make the same coefficients
         return _judge([np.eye(2 * sys1.n)], sys1, sys2, floor)
-    for found in (first, second):
-        if not found.is_minimal:
+    for separation in (first, second):
+        if not separation.is_minimal:
             reason = "of two canonical forms, only canonical pairs make them isomorphic, and this one is not"
             return Verdict(False, 1.0, 0.0, None, reason)
     L = _modal_coordinates(sys2)[1] @ _modal_coordinates(sys1)[0]
@@ -224,8 +226,8 @@ def block_unitary(nu1: ComplexArray, nu2: ComplexArray, groups: list[Indices]) -
     """Unitary matrix, block-diagonal over groups of indices, that takes `nu1` nearest to `nu2`."""
     U = np.zeros((len(nu1), len(nu1)), complex)
     for group in groups:
-        left, _, right = np.linalg.svd(nu2[group] @ nu1[group].conj().T)
-        U[np.ix_(group, group)] = left @ right
+        left_vectors, _, right_vectors = np.linalg.svd(nu2[group] @ nu1[group].conj().T)
+        U[np.ix_(group, group)] = left_vectors @ right_vectors
     return U
 
 
@@ -236,8 +238,8 @@ def _smallest_rotation(nu1: ComplexArray, nu2: ComplexArray, groups: list[Indice
         from_, to = (np.linalg.pinv(nu[group], rcond=_PARALLEL) for nu in (nu1, nu2))
         I = np.eye(len(group))
         turned = nu2[group] @ from_ + (I - nu2[group] @ to) @ (I - nu1[group] @ from_)
-        left, _, right = np.linalg.svd(turned)
-        R[np.ix_(group, group)] = left @ right
+        left_vectors, _, right_vectors = np.linalg.svd(turned)
+        R[np.ix_(group, group)] = left_vectors @ right_vectors
     return R
 
 
@@ -292,12 +294,12 @@ def _seen_by_one_only(first: _BalancedSchur, second: _BalancedSchur, group: Indi
     A morphism would be singular there; its smallest singular value would be rounding, which looks like any number.
     """
     n = len(first.values)
-    left, right = first.block(group[group < n]), second.block(group[group >= n] - n)
-    error = SAFETY * _checks.EPS * n * (1 / left.separation + 1 / right.separation)
-    center = (np.trace(left.T) + np.trace(right.T)) / len(group)
+    first_block, second_block = first.block(group[group < n]), second.block(group[group >= n] - n)
+    error = SAFETY * _checks.EPS * n * (1 / first_block.separation + 1 / second_block.separation)
+    center = (np.trace(first_block.T) + np.trace(second_block.T)) / len(group)
     for what, a, b, whole in (
-        ("inputs reach", left.inputs, right.inputs, (first.B, second.B)),
-        ("outputs see", left.outputs, right.outputs, (first.C, second.C)),
+        ("inputs reach", first_block.inputs, second_block.inputs, (first.B, second.B)),
+        ("outputs see", first_block.outputs, second_block.outputs, (first.C, second.C)),
     ):
         size = [float(norm_of(part) / (norm_of(M) or 1.0)) for part, M in zip((a, b), whole, strict=True)]
         if min(size) <= error and max(size) > np.sqrt(error):
@@ -320,12 +322,12 @@ def _from_blocks(
         around = values[group].imag
         if len(ours) != len(theirs) or around.max() < -radius[group].max():
             continue
-        left, right = first.block(ours), second.block(theirs)
-        error = SAFETY * _checks.EPS * n * (1 / left.separation + 1 / right.separation)
-        G = _block_solution(left, right, max(first.size, second.size), error)
+        first_block, second_block = first.block(ours), second.block(theirs)
+        error = SAFETY * _checks.EPS * n * (1 / first_block.separation + 1 / second_block.separation)
+        G = _block_solution(first_block, second_block, max(first.size, second.size), error)
         if G is None:
             return None, worst
-        part = (right.columns @ G @ left.rows).real
+        part = (second_block.columns @ G @ first_block.rows).real
         L += 2 * part if around.min() > radius[group].max() else part
         worst = max(worst, error)
     return L, worst
@@ -360,10 +362,10 @@ class _BalancedSchur:
     def of(cls, sys: ct.StateSpace) -> _BalancedSchur:
         scale, A, B, C, _ = balanced(sys)
         T, Z = schur_form(A)
-        found, size = eigenvalues_of(T), float(norm_of(A))
+        eigenvalues, size = eigenvalues_of(T), float(norm_of(A))
         # the eigenvalues of a Jordan block of size k scatter by eps^(1/k)
-        radius = np.minimum(len(A) * _checks.EPS * size / found.separation, _checks.EPS**0.25 * size)
-        return cls(scale, T, Z, B, C, found.values, radius, size)
+        radius = np.minimum(len(A) * _checks.EPS * size / eigenvalues.separation, _checks.EPS**0.25 * size)
+        return cls(scale, T, Z, B, C, eigenvalues.values, radius, size)
 
     def block(self, group: Indices) -> _PortBlock:
         """Split a cluster of eigenvalues off, once."""
@@ -388,8 +390,8 @@ def _block_solution(first: _PortBlock, second: _PortBlock, size: float, error: f
         from_c = _cut_inverse(second.outputs, error * scale_c)
         G = second.inputs @ from_b
         G = G + from_c @ (first.outputs - second.outputs @ G)
-        left, right = I - from_c @ second.outputs, I - first.inputs @ from_b
-        return _best_conditioned(G, lambda X: left @ X @ right)
+        unseen, unreached = I - from_c @ second.outputs, I - first.inputs @ from_b
+        return _best_conditioned(G, lambda X: unseen @ X @ unreached)
     if k > _LARGEST_BLOCK:
         return None
     commuting = (np.kron(T1.T, I) - np.kron(I, T2)) / (size or 1.0)

@@ -8,7 +8,6 @@ compose by the matrix product.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import control as ct
 import numpy as np
@@ -396,7 +395,7 @@ def _rounded_readout(sys: ct.StateSpace) -> Array:
     return np.asarray(terms, float)
 
 
-def _ratio(residual: Any, scale: Any) -> float:
+def _ratio(residual: Array | float, scale: Array | float) -> float:
     """Largest quotient, 0/0 = 0."""
     return float(np.max(residual / np.where(scale > 0, scale, 1.0), initial=0.0))
 

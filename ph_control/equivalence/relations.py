@@ -7,7 +7,7 @@ port-Hamiltonian systems; on canonical pairs its classes are the orbits of `act`
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TypeAlias
 
 import control as ct
 import numpy as np
@@ -19,17 +19,19 @@ from ..modal.error_bounds import ModalErrors, Separation, separate
 from ..modal.foster_test import Judged, hamiltonian_form, lossless_modes_with_errors
 from ..modal.modal_form import ModalForm
 from ..symplectic.forms_and_williamson import apply_form
-from ..systems.base import in_normal_form, refuse_losses
+from ..systems.base import Convertible, in_normal_form, refuse_losses
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from ..systems.port_hamiltonian import full_port_hamiltonian
 from .filters import Verdict, compare_filters, separation_of
 from .isomorphism import block_unitary, real_form
 from .unique_coordinates import power_of_two, resonances, squared_weights
 
+_Comparable: TypeAlias = Convertible | tuple[ArrayLike, ArrayLike]
+
 # --- the same transfer function ---------------------------------------------------------------------------------------
 
 
-def same_filter(sys1: Any, sys2: Any, *, rtol: float | None = None) -> Verdict:
+def same_filter(sys1: _Comparable, sys2: _Comparable, *, rtol: float | None = None) -> Verdict:
     """Tell whether two lossless systems have the same transfer function, `~filter` of the paper.
 
     Parameters
@@ -75,7 +77,7 @@ def same_filter(sys1: Any, sys2: Any, *, rtol: float | None = None) -> Verdict:
     return replace(verdict, witness=witness.minimal(), reason="poles and residues agree") if verdict else verdict
 
 
-def _separated(sys: Any) -> Separation:
+def _separated(sys: _Comparable) -> Separation:
     """Modes of anything lossless, with the bounds of their errors."""
     refuse_losses(sys, "this comparison is")
     if isinstance(sys, tuple):
@@ -92,16 +94,16 @@ def _separated(sys: Any) -> Separation:
 
 def _with_judged_errors(judged: Judged) -> Separation:
     """Modes of a plain system, with the bounds that held when its poles and residues were judged."""
-    found = separate(judged.modes)
-    d, total = found.modes.d, np.sum(np.abs(found.modes.nu) ** 2, axis=1)
-    rigid = np.sum(found.modes.rigid**2, axis=1)
+    separation = separate(judged.modes)
+    d, total = separation.modes.d, np.sum(np.abs(separation.modes.nu) ** 2, axis=1)
+    rigid = np.sum(separation.modes.rigid**2, axis=1)
     whole = max((d * total).max(initial=0.0), rigid.max(initial=0.0))
     errors = ModalErrors(
-        found.errors.d + judged.d_error,
-        found.errors.nu + 0.5 * judged.kappa_error / (d * np.sqrt(total)),
-        found.errors.rigid + 8 * max(1, found.modes.n) * _checks.EPS * whole / np.sqrt(rigid),
+        separation.errors.d + judged.d_error,
+        separation.errors.nu + 0.5 * judged.kappa_error / (d * np.sqrt(total)),
+        separation.errors.rigid + 8 * max(1, separation.modes.n) * _checks.EPS * whole / np.sqrt(rigid),
     )
-    return replace(found, errors=errors)
+    return replace(separation, errors=errors)
 
 
 @np.errstate(over="ignore")  # what overflows is refused

@@ -11,7 +11,7 @@ no digits.  What is here is the only home of these numbers, and of those of the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from ..exceptions import NotLosslessError, StructureError
 from ..numerics import double_double as tf
 from ..numerics.exponential import one_step
 from ..numerics.pole_residue import SAFETY, PoleResidueForm
+from ..numerics.rational import LinearSystem
 
 METHODS = ("exact", "midpoint", "euler")
 INTERSAMPLE = ("zoh", "foh")
@@ -299,7 +300,7 @@ _OTHER_NAMES = {
 }
 
 
-def check_method(method: Any) -> str:
+def check_method(method: str) -> str:
     """Check the name of a rule of stepping; those of python-control are explained."""
     if isinstance(method, str) and method in _OTHER_NAMES:
         rule, hold = _OTHER_NAMES[method]
@@ -330,15 +331,15 @@ def _integrals(z: ComplexArray, rest: ComplexArray) -> tuple[ComplexArray, ...]:
     far, turn = np.where(near, _NEAR, z), np.where(near, 0.0, rest)
     end, mean = np.exp(far) * np.exp(turn), phi_1(far, turn)
     late, early = (mean - 1.0) / far, (end - mean) / far
-    found = late, early, (early - late) / far, (end - 2.0 * early) / far
+    by_quotients = late, early, (early - late) / far, (end - 2.0 * early) / far
     by_points = (np.exp(np.multiply.outer(np.where(near, z, 0.0), _T)) @ _MOMENTS).T
-    return tuple(np.where(near, one, other) for one, other in zip(by_points, found, strict=True))
+    return tuple(np.where(near, summed, divided) for summed, divided in zip(by_points, by_quotients, strict=True))
 
 
 # --- back to continuous time: the inverse of each discretisation, pole by pole ------------------------------------
 
 
-def sampling_rule(sys: Any, method: str | None, intersample: str) -> Hold:
+def sampling_rule(sys: LinearSystem, method: str | None, intersample: str) -> Hold:
     """Check how a discrete-time system was sampled."""
     if method is None:
         raise NotLosslessError(

@@ -324,13 +324,13 @@ def _support(rows: NDArray[Any]) -> Indices:
 def _separate_computed(modes: ModalForm, noise: _Noise) -> Separation:
     """Groups of modes with rounding errors: by frequency, then joined where weight is lost to a neighbour."""
     label = _components(modes.d, np.diag(noise.coupling))
-    by_frequency = found = _split(modes, label, _computed_errors(modes, noise, label))
+    by_frequency = separation = _split(modes, label, _computed_errors(modes, noise, label))
     while True:
-        joined = _join_lenders(found, _lent_weight(modes, noise, label), label)
+        joined = _join_lenders(separation, _lent_weight(modes, noise, label), label)
         if np.array_equal(joined, label):
-            return replace(found, errors=by_frequency.errors, strength=by_frequency.strength)
+            return replace(separation, errors=by_frequency.errors, strength=by_frequency.strength)
         label = joined
-        found = _split(modes, label, _computed_errors(modes, noise, label))
+        separation = _split(modes, label, _computed_errors(modes, noise, label))
 
 
 def _computed_errors(modes: ModalForm, noise: _Noise, label: Labels) -> ModalErrors:
@@ -348,14 +348,14 @@ def _lent_weight(modes: ModalForm, noise: _Noise, label: Labels) -> Array:
     return noise.coupling / gap * np.linalg.norm(modes.nu, axis=1)
 
 
-def _join_lenders(found: Separation, lent: Array, label: Labels) -> Labels:
+def _join_lenders(separation: Separation, lent: Array, label: Labels) -> Labels:
     """Join each group that would lose weight with the one that most of it may come from.
 
     Dropped, the weight would be missing in the total; rotated back into the joint subspace, it is not.
     """
     joined = label.copy()
-    strength = {int(label[g.members[0]]): g.strength for g in found.groups}
-    for group in found.groups:
+    strength = {int(label[g.members[0]]): g.strength for g in separation.groups}
+    for group in separation.groups:
         lender = int(label[np.unravel_index(lent[group.members].argmax(), (len(group.members), len(label)))[1]])
         rounding = len(label) * _checks.EPS * strength[lender] ** 2
         if group.lost**2 > rounding and lent[group.members].any():

@@ -21,6 +21,7 @@ from ..numerics import definiteness as _definite
 from ..numerics import pole_residue
 from ..numerics.pole_residue import SAFETY, PoleResidueForm, clusters
 from ..numerics.polynomials import COEFFICIENT_LIMIT
+from ..numerics.rational import LinearSystem
 from ..symplectic.forms_and_williamson import apply_form
 from .discretization import Hold, continuous, sampling_rule
 from .modal_form import ModalForm
@@ -39,7 +40,7 @@ class Judged(NamedTuple):
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what overflows is refused where it matters
-def lossless_modes_with_errors(sys: Any, method: str | None = None, intersample: str = "zoh") -> Judged:
+def lossless_modes_with_errors(sys: LinearSystem, method: str | None = None, intersample: str = "zoh") -> Judged:
     """Minimal modal form and the bounds of its errors that the decision used.
 
     Takes a continuous-time `control.StateSpace` or `control.TransferFunction` (so also what `control.zpk`
@@ -71,13 +72,13 @@ def lossless_modes_with_errors(sys: Any, method: str | None = None, intersample:
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
-def of_sampled(sys: Any, method: str | None, intersample: str) -> PoleResidueForm:
+def of_sampled(sys: LinearSystem, method: str | None, intersample: str) -> PoleResidueForm:
     """Poles and residues in continuous time of any system that was sampled."""
     rule = sampling_rule(sys, method, intersample)
     return continuous(_poles_and_residues(sys, rule), rule)
 
 
-def _is_sampled(sys: Any) -> bool:
+def _is_sampled(sys: LinearSystem) -> bool:
     return isinstance(sys, ct.InputOutputSystem) and bool(sys.isdtime(strict=True))
 
 
@@ -89,7 +90,7 @@ def _confirm(modes: ModalForm, form: PoleResidueForm, rule: Hold | None) -> None
         distance = np.array([1.0 if rule else max(np.linalg.norm(part.T) for part in form.resolvents) or 1.0])
     # off the axis, and off the bisectors of its quadrants
     points = rest + (0.5 + 0.8j) * np.geomspace(0.1 * distance.min(), 10 * distance.max(), _POINTS)
-    parts = [part.at(points) for part in form.resolvents]
+    parts = [part.evaluate(points) for part in form.resolvents]
     true = form.feedthrough + sum(values for values, _ in parts)
     size = np.abs(true).max(axis=(1, 2))
     allowed = SAFETY**2 * (sum(error for _, error in parts) + len(form.poles) * _checks.EPS * size)
@@ -104,7 +105,7 @@ def _confirm(modes: ModalForm, form: PoleResidueForm, rule: Hold | None) -> None
         )
 
 
-def _poles_and_residues(sys: Any, rule: Hold | None) -> PoleResidueForm:
+def _poles_and_residues(sys: LinearSystem, rule: Hold | None) -> PoleResidueForm:
     """Poles and residues of a system of any kind, by the route of its kind."""
     if isinstance(sys, scipy.signal.ZerosPolesGain):
         zeros, poles = _checks.conjugate_closed("zeros", sys.zeros), _checks.conjugate_closed("poles", sys.poles)
@@ -135,7 +136,7 @@ def _refuse_lost_coefficients(num: Array, den: Array, form: PoleResidueForm) -> 
         ) from None
 
 
-def _refuse_other_than_ports(sys: Any) -> None:
+def _refuse_other_than_ports(sys: LinearSystem) -> None:
     """Refuse a system without inputs, or with another number of outputs."""
     if isinstance(sys, scipy.signal.lti) and not isinstance(sys, scipy.signal.StateSpace):
         return
@@ -152,7 +153,7 @@ def decide(form: PoleResidueForm) -> Judged:
     """Hold poles and residues against (M): the modal form, or `NotLosslessError` naming each offence."""
     form.check_range()
     violations = _feedthrough(form)
-    found: list[_Found] = []
+    axis_poles: list[_AxisPole] = []
     hidden: list[tuple[float, float, str]] = []
     # wider than the distance within which residues are held to mix, so that such poles are never judged alone
     for group in clusters(form.poles, 2 * SAFETY * form.pole_error):
@@ -185,11 +186,11 @@ def decide(form: PoleResidueForm) -> Judged:
             violations += [f"{label}: {offence}" for offence in offences]
             frequency = 0.0 if abs(pole.imag) <= pole_error else pole.imag
             spread = float(np.abs(form.poles[group] - pole).max())
-            found.append(_Found(frequency, sigma, W, pole_error + spread, 2 * error))
+            axis_poles.append(_AxisPole(frequency, sigma, W, pole_error + spread, 2 * error))
     if violations:
         raise NotLosslessError(violations)
-    _all_unseen(hidden, max((mode.sigma.max(initial=0.0) for mode in found), default=form.gain))
-    return _modal_form(found, form.residues.shape[1])
+    _all_unseen(hidden, max((mode.sigma.max(initial=0.0) for mode in axis_poles), default=form.gain))
+    return _modal_form(axis_poles, form.residues.shape[1])
 
 
 def _feedthrough(form: PoleResidueForm) -> list[str]:
@@ -215,7 +216,7 @@ def _all_unseen(hidden: list[tuple[float, float, str]], whole: float) -> None:
         )
 
 
-class _Found(NamedTuple):
+class _AxisPole(NamedTuple):
     """A pole on the axis: frequency, eigenvalues and vectors of its residue, errors of frequency and of kappa."""
 
     frequency: float
@@ -225,11 +226,11 @@ class _Found(NamedTuple):
     kappa_error: float
 
 
-def _modal_form(found: list[_Found], ports: int) -> Judged:
+def _modal_form(axis_poles: list[_AxisPole], ports: int) -> Judged:
     """Modes from frequencies, with the eigenvalues and eigenvectors of their residues."""
     d, nu, rigid = [np.zeros(0)], [np.zeros((0, ports), complex)], [np.zeros((0, ports))]
     errors = [np.zeros((2, 0))]
-    for mode in sorted(found, key=lambda mode: mode.frequency):
+    for mode in sorted(axis_poles, key=lambda mode: mode.frequency):
         if mode.frequency == 0.0:
             rigid.append((np.sqrt(mode.sigma)[:, None] * mode.W.T).real)
         else:

@@ -122,8 +122,8 @@ class GeneralModalForm(ModalForm):
     @cached_property
     def mode_poles(self) -> ComplexArray:
         """One pole of each mode: those of single modes by their size, then those in clusters."""
-        found = [block.poles for block in self.clusters]
-        return _checks.readonly(np.concatenate([self._poles, *(p[p.imag >= 0] for p in found)]))
+        cluster_poles = [block.poles for block in self.clusters]
+        return _checks.readonly(np.concatenate([self._poles, *(p[p.imag >= 0] for p in cluster_poles)]))
 
     @property
     def poles(self) -> ComplexArray:
@@ -167,8 +167,8 @@ class GeneralModalForm(ModalForm):
     def shapes(self) -> ComplexArray:
         """Mode shapes, shape (n, p); of modes in a cluster nearly parallel ones."""
         vectors = [np.linalg.eig(block.A) for block in self.clusters]
-        found = [(block.C @ V).T[p.imag >= 0] for block, (p, V) in zip(self.clusters, vectors, strict=True)]
-        return np.concatenate([self._shapes, *found])
+        cluster_shapes = [(block.C @ V).T[p.imag >= 0] for block, (p, V) in zip(self.clusters, vectors, strict=True)]
+        return np.concatenate([self._shapes, *cluster_shapes])
 
     @property
     def participation(self) -> ComplexArray:
@@ -191,10 +191,7 @@ class GeneralModalForm(ModalForm):
 
     def state_space(self) -> ct.StateSpace:
         """Real state space of the modes, block by block."""
-        A, B, C = real_matrices(*self.equations)
-        A = block_diag(A, *(block.A for block in self.clusters))
-        B = np.concatenate([B, *(block.B for block in self.clusters)])
-        return ct.ss(A, B, np.hstack([C, *(block.C for block in self.clusters)]), self.feedthrough)
+        return ct.ss(*matrices_of(self), self.feedthrough)
 
     @cached_property
     def zeros(self) -> ComplexArray:
@@ -263,6 +260,14 @@ def invariant_zeros(sys: ct.StateSpace) -> ComplexArray:
     pencil = ab08nd(n, m, p, sys.A, sys.B, sys.C, sys.D, ldwork=max(m, p, n) + max(more, n + max(m, p)))
     count, first, second = pencil[0], pencil[8], pencil[9]
     return eigvals(first[:count, :count], second[:count, :count]).astype(complex) if count else np.zeros(0, complex)
+
+
+def matrices_of(form: ModalForm) -> tuple[Array, Array, Array]:
+    """Real matrices `A`, `B`, `C` of the modes, and of clusters where there are any, block by block."""
+    A, B, C = real_matrices(*form.equations)
+    A = block_diag(A, *(block.A for block in form.clusters))
+    B = np.concatenate([B, *(block.B for block in form.clusters)])
+    return A, B, np.hstack([C, *(block.C for block in form.clusters)])
 
 
 def real_matrices(p: ComplexArray, b: ComplexArray, c: ComplexArray) -> tuple[Array, Array, Array]:
@@ -362,7 +367,7 @@ def from_matrices(A: Array, B: Array, C: Array, D: Array) -> GeneralModalForm:
     noise = len(A) * _checks.EPS * np.sum((np.abs(W) @ np.abs(A)) * np.abs(X.T), axis=1)
     starts = np.concatenate([[0], np.cumsum(sizes)])
     parts = [slice(a, b) for a, b in pairwise(starts[: np.searchsorted(starts, len(A)) + 1])]
-    found, clusters = [], []
+    single_modes, clusters = [], []
     for part in parts:
         mode = _single_mode(T[part, part], inputs[part], outputs[:, part], float(noise[part].max()))
         if mode is None:
@@ -370,8 +375,8 @@ def from_matrices(A: Array, B: Array, C: Array, D: Array) -> GeneralModalForm:
             block = _without_noise(T[part, part], rounding)
             clusters.append(Cluster(block, inputs[part].copy(), outputs[:, part].copy()))
         else:
-            found.append(mode)
-    form = _of_single(found, D, clusters)
+            single_modes.append(mode)
+    form = _of_single(single_modes, D, clusters)
     # shapes with a largest entry of 1; one that no output shows stays 0
     c = form._shapes
     lead = c[np.arange(len(c)), np.abs(c).argmax(axis=1)] if c.size else np.ones(len(c))
@@ -379,11 +384,11 @@ def from_matrices(A: Array, B: Array, C: Array, D: Array) -> GeneralModalForm:
     return GeneralModalForm(form._poles, c / lead, form._participation * lead, D, clusters)
 
 
-def _of_single(found: Sequence[Mode], D: Array, clusters: Sequence[Cluster]) -> GeneralModalForm:
+def _of_single(modes: Sequence[Mode], D: Array, clusters: Sequence[Cluster]) -> GeneralModalForm:
     """Modal form of modes one by one."""
-    poles, c, b = zip(*found, strict=True) if found else ((), (), ())
-    shapes = np.array(c, complex).reshape(len(found), len(D))
-    weights = np.array(b, complex).reshape(len(found), len(D.T))
+    poles, c, b = zip(*modes, strict=True) if modes else ((), (), ())
+    shapes = np.array(c, complex).reshape(len(modes), len(D))
+    weights = np.array(b, complex).reshape(len(modes), len(D.T))
     return GeneralModalForm(np.array(poles, complex), shapes, weights, D, clusters)
 
 
@@ -393,7 +398,7 @@ def from_pole_residues(form: PoleResidueForm) -> GeneralModalForm:
         raise StructureError(
             "the system has repeated poles, which rounding of a sampled system scatters; give it in continuous time"
         )
-    found = []
+    modes = []
     for pole, residue, error, reach in zip(
         form.poles, form.residues, SAFETY * form.residue_error, form.pole_error, strict=True
     ):
@@ -401,8 +406,8 @@ def from_pole_residues(form: PoleResidueForm) -> GeneralModalForm:
             continue
         real = abs(pole.imag) <= reach
         U, s, Vh = np.linalg.svd(residue.real if real else residue)
-        found += [(pole.real if real else pole, U[:, k] * s[k], Vh[k]) for k in np.flatnonzero(s > error)]
-    return _of_single(found, form.feedthrough, [])
+        modes += [(pole.real if real else pole, U[:, k] * s[k], Vh[k]) for k in np.flatnonzero(s > error)]
+    return _of_single(modes, form.feedthrough, [])
 
 
 def refined(form: GeneralModalForm, A: Pair, B: Array, C: Array, D: Array) -> GeneralModalForm:
@@ -414,20 +419,20 @@ def refined(form: GeneralModalForm, A: Pair, B: Array, C: Array, D: Array) -> Ge
     """
     size = len(A[0])
     poles, shapes, weights = form._both_halves
-    blocks, n = [one.A for one in form.clusters], len(poles)
+    blocks, n = [cluster.A for cluster in form.clusters], len(poles)
     ends = np.cumsum([n, *map(len, blocks)])
     if not 0 < size <= _REFINED or ends[-1] != size:
         return form
     parts = [slice(a, b) for a, b in pairwise(ends)]
     scale = dgebal(A[0], scale=1)[3]
-    X = np.hstack([shapes[:, -size:].T, *(one.C[-size:] for one in form.clusters)]) / scale[:, None]
-    W = np.vstack([weights[:, -size:], *(one.B[:, -size:] for one in form.clusters)]) * scale
+    X = np.hstack([shapes[:, -size:].T, *(cluster.C[-size:] for cluster in form.clusters)]) / scale[:, None]
+    W = np.vstack([weights[:, -size:], *(cluster.B[:, -size:] for cluster in form.clusters)]) * scale
     middle = np.diag(poles.astype(complex))
     middle = block_diag(middle, *blocks) if n else block_diag(*blocks).astype(complex)
-    right, left = exactly(np.hstack([X.real, X.imag])), exactly(np.vstack([W.real, W.imag]))
+    right_vectors, left_vectors = exactly(np.hstack([X.real, X.imag])), exactly(np.vstack([W.real, W.imag]))
     high, low = (part * scale / scale[:, None] for part in A)
-    unit = _complex(product(left, right, 2), np.eye(size, dtype=complex))
-    rest = _complex(product(left, product((high, low), right, 2), 2), middle) - unit @ middle
+    unit = _complex(product(left_vectors, right_vectors, 2), np.eye(size, dtype=complex))
+    rest = _complex(product(left_vectors, product((high, low), right_vectors, 2), 2), middle) - unit @ middle
     try:
         turn = _turn(rest, poles, list(zip(parts, blocks, strict=True)))
     except np.linalg.LinAlgError:

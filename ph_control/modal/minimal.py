@@ -79,8 +79,8 @@ class Reduction:
         pairs = low + (high - low) * (light / (light + heavy))
         several = np.flatnonzero(self.reached & (counts > 2)).tolist()
         parts = [slice(self.starts[k], self.starts[k] + counts[k]) for k in several]
-        left = [_beside(self.d[part], self.r[part]) for part in parts]
-        return np.sort(np.concatenate([self.d[np.repeat(~self.reached, counts)], pairs, *left]))
+        remaining = [_beside(self.d[part], self.r[part]) for part in parts]
+        return np.sort(np.concatenate([self.d[np.repeat(~self.reached, counts)], pairs, *remaining]))
 
 
 def plain_modes(d: Array, r: Array) -> ModalForm:
@@ -98,8 +98,8 @@ def minimal_of_exact(modes: ModalForm) -> ModalForm | None:
     """`of_exact(modes).minimal()`; a few modes pass through a loop in less time than an array operation begins in."""
     n = len(modes.d)
     if n > _FEW or len(modes.rigid) or modes.nports != 1:
-        found = of_exact(modes)
-        return None if found is None else found.minimal()
+        reduction = of_exact(modes)
+        return None if reduction is None else reduction.minimal()
     close, d, r = exact_closeness(n), [], []
     previous, first, total, moment = -1.0, 0.0, 0.0, 0.0
     for frequency, weight in zip(modes.d.tolist(), modes.r.tolist(), strict=True):

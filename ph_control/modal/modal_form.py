@@ -524,16 +524,16 @@ class ModalForm(ShownModes):
         if len(even) == 0:
             return from_frequencies(np.zeros(0), np.zeros(0))
         with np.errstate(over="ignore", invalid="ignore"):
-            found = polynomials.fractions_from_coefficients(even, odd[::-1])
-        worst = np.inf if found is None else float((found[0][1] / found[0][0]).max())
-        if found is None or not worst <= COEFFICIENT_LIMIT:
-            told = "no digit" if not worst < np.inf else f"{-np.log10(worst):.1f} digits"
+            fractions = polynomials.fractions_from_coefficients(even, odd[::-1])
+        worst = np.inf if fractions is None else float((fractions[0][1] / fractions[0][0]).max())
+        if fractions is None or not worst <= COEFFICIENT_LIMIT:
+            carried = "no digit" if not worst < np.inf else f"{-np.log10(worst):.1f} digits"
             raise StructureError(
-                f"the coefficients carry {told} of the frequencies, needed {-np.log10(COEFFICIENT_LIMIT):.0f}: their "
-                "rounding to doubles moves the roots of the denominator together, or off the imaginary axis; keep "
-                "d and r, or zeros, poles and gain, instead of coefficients"
+                f"the coefficients carry {carried} of the frequencies, needed {-np.log10(COEFFICIENT_LIMIT):.0f}: "
+                "their rounding to doubles moves the roots of the denominator together, or off the imaginary axis; "
+                "keep d and r, or zeros, poles and gain, instead of coefficients"
             )
-        (d, _), (kappa, error) = found
+        (d, _), (kappa, error) = fractions
         negative = kappa < -error
         if negative.any():
             pairs = zip(kappa[negative], d[negative], strict=True)

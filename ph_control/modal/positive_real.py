@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import control as ct
 import numpy as np
@@ -20,7 +19,7 @@ from scipy.linalg.lapack import dtrsen
 from scipy.optimize import brentq, minimize_scalar
 
 from .._checks import EPS
-from .._types import Array, ComplexArray, Indices
+from .._types import Array, ArrayLike, ComplexArray, Indices
 from ..exceptions import StructureError
 from ..numerics.invariant_subspaces import (
     EliminationResolvent,
@@ -97,12 +96,12 @@ class Passivity:
         self.given = self.matrices if given is None else given
         self.modes = from_matrices(A, B, C, D.copy())
 
-    def smallest(self, omega: Any) -> tuple[Array, Array]:
+    def smallest(self, omega: ArrayLike) -> tuple[Array, Array]:
         """Smallest eigenvalue of `Phi` at each frequency, and what rounding leaves of it."""
-        omega = np.atleast_1d(np.asarray(omega, float))
-        size = self.modes.magnitude(1j * omega)
+        frequencies = np.atleast_1d(np.asarray(omega, float))
+        size = self.modes.magnitude(1j * frequencies)
         slack = _SLACK * max(self.modes.feedthrough.shape) * (1 + size**2 if self.scattering else size)
-        return self._smallest(omega), slack
+        return self._smallest(frequencies), slack
 
     def _smallest(self, omega: Array) -> Array:
         return np.asarray(np.linalg.eigvalsh(self.phi(omega))[:, 0], float)
@@ -131,8 +130,8 @@ class Passivity:
         singular = self._one_port_points if one_port else self._points
         with np.errstate(all="ignore"):
             shifts = self._shifts(level, low, high)
-            found = np.concatenate([np.abs(singular(*shift, level).imag) for shift in shifts])
-        return np.asarray(found[np.isfinite(found)], float)
+            frequencies = np.concatenate([np.abs(singular(*shift, level).imag) for shift in shifts])
+        return np.asarray(frequencies[np.isfinite(frequencies)], float)
 
     @cached_property
     def singular(self) -> Array:
@@ -152,7 +151,7 @@ class Passivity:
         middles = 10 ** (0.5 * (ends[1:] + ends[:-1]))
         # the first serves all that is slower, the last all that is faster
         ends = 10.0 ** np.concatenate([[-np.inf], ends[1:-1], [np.inf]])
-        found = []
+        shifts = []
         for middle in middles[(ends[1:] * _OVERLAP >= lowest) & (ends[:-1] <= highest * _OVERLAP)]:
             points = middle * _BESIDE
             away = np.min(np.abs(points[:, None] - size) / (points[:, None] + size), axis=1)
@@ -163,8 +162,8 @@ class Passivity:
             regular = (k[:, -1] > _REGULAR * k[:, 0]) & (k[:, -1] > _DIGITS * EPS * terms)
             score = away * k[:, -1] / np.where(k[:, 0] > 0, terms if one_port else k[:, 0], 1.0)
             best = int(np.argmax(np.where(np.isfinite(score), score, -1.0)))
-            found.append((float(points[best]), bool(regular[best])))
-        return found
+            shifts.append((float(points[best]), bool(regular[best])))
+        return shifts
 
     def _on_real_axis(self, points: Array) -> Array:
         """Continuation of `Phi` to the real axis, shape (N, m, m)."""
@@ -252,7 +251,7 @@ class Passivity:
                 return False
         return not self._pieces()
 
-    def _pieces(self) -> list[tuple[Any, Any]]:
+    def _pieces(self) -> list[tuple[int, int]]:
         """First and last but one of the points of each piece of the axis on which `Phi` is negative beyond rounding."""
         grid, values, slack = self._looked_at
         negative = values < -slack
@@ -279,7 +278,7 @@ class Passivity:
     def _resolvent(self) -> SchurResolvent:
         return SchurResolvent(self.given[0])
 
-    def _perturbed(self, omega: float, resolvent: Any) -> tuple[float, float, float]:
+    def _perturbed(self, omega: float, resolvent: SchurResolvent | EliminationResolvent) -> tuple[float, float, float]:
         """Smallest eigenvalue of `Phi`, what it changes by with roundings of each entry, and with those of the solver.
 
         To first order the quadratic form of its eigenvector `u` changes by `2 Re y^H (dA x + dB u) + ..`, with
@@ -384,7 +383,7 @@ class Passivity:
                 return None
             added = slice(1, clear[0] + 1)
             points, at_points = np.append(points, beyond[added]), np.append(at_points, at_beyond[added])
-            worst, least = min((worst, least), (float(points[-1]), float(at_points[-1])), key=lambda one: one[1])
+            worst, least = min((worst, least), (float(points[-1]), float(at_points[-1])), key=lambda point: point[1])
         a, b, of_a, of_b = points[:-1], points[1:], at_points[:-1], at_points[1:]
         for _ in range(_HALVINGS):
             level = least - _FINE * abs(least)
@@ -430,8 +429,8 @@ class Passivity:
 
     def _downhill(self, low: float, high: float, start: float) -> tuple[float, float]:
         """A local minimum of the smallest eigenvalue of `Phi` between two frequencies, no greater than at a third."""
-        found = minimum(self._value, low, high)
-        return min(((w, self._value(w)) for w in (float(start), found)), key=lambda one: one[1])
+        minimizer = minimum(self._value, low, high)
+        return min(((w, self._value(w)) for w in (float(start), minimizer)), key=lambda candidate: candidate[1])
 
     def _crossing(self, a: float, b: float) -> float:
         fa, fb = self._value(a), self._value(b)
@@ -447,8 +446,8 @@ def lowest_places(values: Array) -> Indices:
 
 def minimum(f: Callable[[float], float], low: float, high: float) -> float:
     """Where a function is least between two numbers."""
-    found = minimize_scalar(f, bounds=(low, high), method="bounded", options={"xatol": 1e-9 * (high - low)})
-    return float(found.x)
+    solution = minimize_scalar(f, bounds=(low, high), method="bounded", options={"xatol": 1e-9 * (high - low)})
+    return float(solution.x)
 
 
 def balanced(A: Array, B: Array, C: Array, D: Array) -> Matrices:
@@ -500,14 +499,14 @@ def split_axis(A: Array, B: Array, C: Array) -> Split:
     noise = np.abs(A) * (_AXIS * EPS) if n == whole else np.full((n, n), rounding / n)
     T, Z = schur(A, output="real")
     U, Y = rsf2csf(T, Z)
-    found = eigenvalues_of(U)
-    right, left = Y @ found.right, Y @ found.left
+    eigenvalues = eigenvalues_of(U)
+    right_vectors, left_vectors = Y @ eigenvalues.right_vectors, Y @ eigenvalues.left_vectors
     # the bounds of first order are too large for double poles, which rounding moves by its root
     double = _DOUBLE * np.sqrt(rounding * size)
-    values = np.sum(left.conj() * (A @ right), axis=0) / found.overlap
-    moved = np.abs(values - found.values)
-    values = np.where(moved <= np.minimum(rounding / found.separation, double), values, found.values)
-    error = np.sum(np.abs(left) * (noise @ np.abs(right)), axis=0) / found.separation
+    values = np.sum(left_vectors.conj() * (A @ right_vectors), axis=0) / eigenvalues.overlap
+    moved = np.abs(values - eigenvalues.values)
+    values = np.where(moved <= np.minimum(rounding / eigenvalues.separation, double), values, eigenvalues.values)
+    error = np.sum(np.abs(left_vectors) * (noise @ np.abs(right_vectors)), axis=0) / eigenvalues.separation
     radius = np.minimum(error, double)
     axis: list[tuple[float, ComplexArray]] = []
     off = np.ones(n, bool)
@@ -537,7 +536,7 @@ def split_axis(A: Array, B: Array, C: Array) -> Split:
     B, C = Z.T @ B, C @ Z
     X = solve_sylvester(T[:count, :count], -T[count:, count:], -T[:count, count:])
     rest = T[count:, count:], B[count:], C[:, count:] + C[:, :count] @ X
-    return Split(sorted(axis, key=lambda one: one[0]), rest, unstable)
+    return Split(sorted(axis, key=lambda pole: pole[0]), rest, unstable)
 
 
 def staircase(A: Array, B: Array, C: Array, coupled: float = 0.0) -> tuple[Array, Array, Array]:
@@ -569,5 +568,5 @@ def is_positive(K: ComplexArray) -> bool:
 def violations(split: Split, tested: Passivity | None, *, scattering: bool) -> list[Band]:
     """Bands of the rest and poles on the axis that are not passive, ascending."""
     wrong = [w for w, K in split.axis if scattering or not is_positive(K)]
-    found = [Band(w, w, w, np.inf) for w in wrong] + ([] if tested is None else tested.bands())
-    return sorted(found, key=lambda band: band.low)
+    bands = [Band(w, w, w, np.inf) for w in wrong] + ([] if tested is None else tested.bands())
+    return sorted(bands, key=lambda band: band.low)

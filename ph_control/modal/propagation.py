@@ -69,8 +69,8 @@ def step_through(step: MatrixStep, u: Array, start: Array | None = None) -> Arra
     return x.transpose(1, 2, 0).reshape(blocks.shape)[:, :samples]
 
 
-def _product_of_doubles(left: Pair, right: Pair) -> Pair:
-    return left[0] @ right[0], left[1]
+def _product_of_doubles(left_factor: Pair, right_factor: Pair) -> Pair:
+    return left_factor[0] @ right_factor[0], left_factor[1]
 
 
 def transfer_function(modes: ModalForm, points: ComplexArray, hold: Hold | None) -> ComplexArray:
@@ -240,9 +240,9 @@ def _responses(step: DiscreteModes, b: ComplexArray, turns: _Turns) -> Array:
     later = np.zeros((outputs * inputs, size))
     turns.spread((step.c[:, None] * (turns.ahead * b.T)).reshape(outputs * inputs, N), later)
     response[:, :, size + 1 :] = later.reshape(outputs, inputs, size)[:, :, :-1]
-    row, column, one = response.strides
+    row, column, sample = response.strides
     shape = outputs, inputs, size, size
-    return np.ndarray(shape, float, response, size * one, (row, column, -one, one)).copy()
+    return np.ndarray(shape, float, response, size * sample, (row, column, -sample, sample)).copy()
 
 
 # --- from block to block -----------------------------------------------------------------------------------------

@@ -30,13 +30,13 @@ class Reactance:
         factors = d, r
         if kappa_0 > 0:
             factors, d = (np.append(kappa_0, d), np.append(1.0, r)), np.append(0.0, d)
-        (left, p), (right, q) = (np.frexp(factor) for factor in factors)
+        (d_mantissa, p), (r_mantissa, q) = (np.frexp(factor) for factor in factors)
         unit = int((p + q).max(initial=0)) - 2
-        high, low = (np.ldexp(part, p + q - unit) for part in tf.two_prod(left, right))
+        high, low = (np.ldexp(part, p + q - unit) for part in tf.two_prod(d_mantissa, r_mantissa))
         self._gain, self._d, self._kappa = math.ldexp(1.0, unit), d, (high, low)
-        one = np.ones_like(d)
+        ones = np.ones_like(d)
         # tables of `d - w` and `d + w` come as products of matrices, each entry of which is rounded once
-        self._columns = np.stack([d, -one], axis=1), np.stack([d, one], axis=1)
+        self._columns = np.stack([d, -ones], axis=1), np.stack([d, ones], axis=1)
         first = np.flatnonzero(np.diff(d, prepend=-1.0))
         self._poles = d[first]
         self._weights = np.add.reduceat(self._kappa[0], first) if len(first) else d
@@ -105,10 +105,10 @@ class Reactance:
 
     def _zeros_between(self, gaps: Indices) -> Array:
         """Zeros above the poles with these indices, as pairs of doubles, shape (2, N)."""
-        found = self._zeros[:, gaps]
-        unknown = np.isnan(found[0])
+        zeros = self._zeros[:, gaps]
+        unknown = np.isnan(zeros[0])
         if not unknown.any():
-            return found
+            return zeros
         new, step = np.unique(gaps[unknown]), max(1, _BLOCK // len(self._d))
         for start in range(0, len(new), step):
             part = new[start : start + step]

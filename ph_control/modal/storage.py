@@ -32,7 +32,7 @@ from scipy.linalg import (
 from scipy.optimize import brentq
 
 from .._checks import EPS
-from .._types import Array, ComplexArray
+from .._types import Array, ComplexArray, NDArray
 from ..exceptions import StructureError
 from .positive_real import Matrices, Passivity, lowest_places, minimum
 
@@ -50,6 +50,7 @@ _REFINED = 3  # steps of Newton's method
 
 
 KINDS = ("available", "required", "mean")
+AnyMatrices = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]  # real, or complex
 
 
 @dataclass(frozen=True)
@@ -90,13 +91,14 @@ def storage_coordinates(
             if known.counts in tried:
                 continue
             tried.add(known.counts)
-            found = _coordinates(system, known, kind)
-            if found.correction > _ROUNDING * len(A) * EPS:
-                found = min(found, _again(system, points, kind, null, found), key=lambda one: one.correction)
+            coordinates = _coordinates(system, known, kind)
+            if coordinates.correction > _ROUNDING * len(A) * EPS:
+                again = _again(system, points, kind, null, coordinates)
+                coordinates = min(coordinates, again, key=lambda candidate: candidate.correction)
         except (LinAlgError, ValueError):
             continue
-        if best is None or found.correction < best.correction:
-            best = found
+        if best is None or coordinates.correction < best.correction:
+            best = coordinates
         if best.correction <= _GOOD:
             break
     if best is None:
@@ -119,17 +121,15 @@ def _coordinates(system: Matrices, known: KnownParts, kind: str) -> Coordinates:
     inverse = np.asarray(np.linalg.inv(basis), float)
     fixed = _root(V.T @ Y)
     R, S = (_root(X) for X in _extremes(system, known, basis, inverse))
-    left: Any
-    right: Any
     U, s, W = svd(S @ R.T)
     root = np.sqrt(np.maximum(s, EPS * s.max(initial=0.0)))[:, None]
-    left, right = W @ R / root, U.T @ S / root
+    to_balanced, from_balanced = W @ R / root, U.T @ S / root
     if kind == "available":
-        left, right = left * root, right / root
+        to_balanced, from_balanced = to_balanced * root, from_balanced / root
     if kind == "required":
-        left, right = left / root, right * root
-    T = np.vstack([fixed @ inverse[:k], left @ inverse[k:]])
-    return _judged(system, T, np.hstack([basis[:, :k] @ np.linalg.inv(fixed), basis[:, k:] @ right.T]))
+        to_balanced, from_balanced = to_balanced / root, from_balanced * root
+    T = np.vstack([fixed @ inverse[:k], to_balanced @ inverse[k:]])
+    return _judged(system, T, np.hstack([basis[:, :k] @ np.linalg.inv(fixed), basis[:, k:] @ from_balanced.T]))
 
 
 def _again(system: Matrices, points: list[float], kind: str, null: float, before: Coordinates) -> Coordinates:
@@ -139,14 +139,14 @@ def _again(system: Matrices, points: list[float], kind: str, null: float, before
     return _judged(system, step.T @ before.T, before.inverse @ step.inverse)
 
 
-def _transformed(system: Matrices, found: Coordinates) -> Matrices:
+def _transformed(system: Matrices, coordinates: Coordinates) -> Matrices:
     A, B, C, D = system
-    return found.T @ A @ found.inverse, found.T @ B, C @ found.inverse, D
+    return coordinates.T @ A @ coordinates.inverse, coordinates.T @ B, C @ coordinates.inverse, D
 
 
 def _judged(system: Matrices, T: Array, inverse: Array) -> Coordinates:
-    found = Coordinates(T, inverse, 0.0)
-    moved = _transformed(system, found)
+    coordinates = Coordinates(T, inverse, 0.0)
+    moved = _transformed(system, coordinates)
     W = dissipation(*moved)
     size = sum(float(np.linalg.norm(M)) for M in moved)
     correction = float(np.linalg.norm(semidefinite(W, len(T)) - W)) / size
@@ -178,8 +178,8 @@ def semidefinite(W: Array, states: int) -> Array:
         return np.zeros_like(W)
     k, V = eigh(basis.T @ W @ basis)
     part = (V * np.maximum(k, _FLOOR * EPS * size)) @ V.T
-    found = basis @ (0.5 * (part + part.T)) @ basis.T
-    return np.asarray(0.5 * (found + found.T), float)
+    positive = basis @ (0.5 * (part + part.T)) @ basis.T
+    return np.asarray(0.5 * (positive + positive.T), float)
 
 
 # --- where W must be singular -------------------------------------------------------------------------------------
@@ -229,7 +229,7 @@ def _stationary(
     return middle, value(middle), float(tested.modes.magnitude(np.array([1j * middle]))[0])
 
 
-def _seen_from(system: Matrices, frequency: float) -> tuple[Any, Any, Any, Any]:
+def _seen_from(system: Matrices, frequency: float) -> AnyMatrices:
     """The system in `1 / (s - j frequency)`, with a state matrix of norm 1: the same storages."""
     A, B, C, D = (np.asarray(M, complex) for M in system)
     if np.isfinite(frequency):
@@ -265,7 +265,7 @@ class KnownDirections:
         return KnownDirections(np.hstack([self.V, V]), np.hstack([self.Y, Y]))
 
 
-def _block(known: KnownDirections, system: Any) -> tuple[Any, Any]:
+def _block(known: KnownDirections, system: AnyMatrices) -> tuple[NDArray[Any], Array]:
     """`W` on the known directions and all inputs, and the sizes of what is summed in it."""
     A, B, C, D = system
     V, Y = known.V, known.Y
@@ -278,7 +278,7 @@ def _block(known: KnownDirections, system: Any) -> tuple[Any, Any]:
     return K, sizes
 
 
-def _null_space(K: Any, sizes: Array, null: float) -> tuple[Any, Any, Array]:
+def _null_space(K: NDArray[Any], sizes: Array, null: float) -> tuple[NDArray[Any], NDArray[Any], Array]:
     """Vectors that `K >= 0` takes to 0, the others, and their eigenvalues."""
     k, W = eigh(K)
     zero = k <= null * (sizes @ np.abs(W) ** 2)

@@ -8,7 +8,6 @@ the skew dynamics compressed to where the output vanishes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from scipy.linalg import null_space
@@ -41,7 +40,7 @@ def one_port_zeros(d: Array, kappa: Array, kappa_0: float | None) -> Array:
     return _mirrored(np.sort(np.concatenate([cancelled, _roots(d, kappa)])), at_zero)
 
 
-def _mirrored(w: Any, at_zero: bool) -> Array:
+def _mirrored(w: Array | list[float], at_zero: bool) -> Array:
     """Positive numbers, their opposites, and 0 between them or not."""
     n = len(w)
     both = np.zeros(2 * n + at_zero)
@@ -53,8 +52,8 @@ def _mirrored(w: Any, at_zero: bool) -> Array:
 
 def zeros_in_gaps(d: Array, kappa: Array, gaps: Indices) -> Pair:
     """Zeros above the poles `d[gaps]` as pairs of doubles, of which the distances from the poles keep all digits."""
-    found = _solve(d, kappa, gaps.tolist())
-    either_side = np.array([distance[k : k + 2] for k, (_, distance) in zip(gaps, found, strict=True)])
+    solutions = _solve(d, kappa, gaps.tolist())
+    either_side = np.array([distance[k : k + 2] for k, (_, distance) in zip(gaps, solutions, strict=True)])
     nearer = np.abs(either_side).argmin(axis=1)
     return two_sum(d[gaps + nearer], -either_side[np.arange(len(gaps)), nearer])
 
@@ -75,13 +74,13 @@ def _solve(d: Array, kappa: Array, gaps: Sequence[int]) -> list[tuple[float, Arr
         # a power of two rounds nothing
         unit = float(2.0 ** np.floor(np.log2(largest)))
         return [(unit * root, unit * distance) for root, distance in _solve(d / unit, kappa, gaps)]
-    row, found = np.sqrt(kappa / heaviest), []
+    row, solutions = np.sqrt(kappa / heaviest), []
     for k in gaps:
         distance, root, _, failed = dlasd4(k, d, row, _ROW)
         if failed:
             raise _out_of_reach(largest / smallest, weights)
-        found.append((root, distance))
-    return found
+        solutions.append((root, distance))
+    return solutions
 
 
 def _out_of_reach(spread: float, weights: list[float]) -> StructureError:

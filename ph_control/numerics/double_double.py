@@ -95,31 +95,33 @@ def cis_multiples(step: Pair, k: Array) -> ComplexArray:
     return result
 
 
-def product_parts(left: Pair, right: Pair, slices: int = 3, multiply: Multiply = np.matmul) -> list[Array]:
-    """Matrices, the largest first, whose sum is `left @ right` with more digits than a double has.
+def product_parts(
+    left_factor: Pair, right_factor: Pair, slices: int = 3, multiply: Multiply = np.matmul
+) -> list[Array]:
+    """Matrices, the largest first, whose sum is `left_factor @ right_factor` with more digits than a double has.
 
-    Each operand is cut into slices of so few bits, relative to the largest entry of a row of `left` and of a column of
-    `right`, that sums of products of two slices are exact.  All but the last of the matrices are such sums.  The last
-    has the rest, and its rounding is the error: with 2 slices, at the cost of 3 ordinary products, 2^-74 of those
-    largest entries, with 3, at that of 6, 2^-95; with 1 it is that of an ordinary product.  `multiply` may use what is
-    known of the operands, such as zeros.
+    Each operand is cut into slices of so few bits, relative to the largest entry of a row of the left one and of a
+    column of the right one, that sums of products of two slices are exact.  All but the last of the matrices are such
+    sums.  The last has the rest, and its rounding is the error: with 2 slices, at the cost of 3 ordinary products,
+    2^-74 of those largest entries, with 3, at that of 6, 2^-95; with 1 it is that of an ordinary product.  `multiply`
+    may use what is known of the operands, such as zeros.
     """
     if slices == 1:
-        return [multiply(left[0], right[0])]
-    bits = (53 - left[0].shape[1].bit_length()) // 2
-    (a, *others), (b, *more) = _sliced(left, 1, bits, slices), _sliced(right, 0, bits, slices)
+        return [multiply(left_factor[0], right_factor[0])]
+    bits = (53 - left_factor[0].shape[1].bit_length()) // 2
+    (a, *others), (b, *more) = _sliced(left_factor, 1, bits, slices), _sliced(right_factor, 0, bits, slices)
     if slices == 2:
-        return [multiply(a, b), multiply(a, more[0]) + multiply(others[0], right[0])]
+        return [multiply(a, b), multiply(a, more[0]) + multiply(others[0], right_factor[0])]
     middle = multiply(a, more[0]) + multiply(others[0], b)
     return [
         multiply(a, b), middle,
-        multiply(a, more[1]) + multiply(others[0], more[0] + more[1]) + multiply(others[1], right[0]),
+        multiply(a, more[1]) + multiply(others[0], more[0] + more[1]) + multiply(others[1], right_factor[0]),
     ]  # fmt: skip
 
 
-def product(left: Pair, right: Pair, slices: int = 3, multiply: Multiply = np.matmul) -> Pair:
-    """`left @ right` as one pair; cost and error as of `product_parts`."""
-    high, *parts = product_parts(left, right, slices, multiply)
+def product(left_factor: Pair, right_factor: Pair, slices: int = 3, multiply: Multiply = np.matmul) -> Pair:
+    """`left_factor @ right_factor` as one pair; cost and error as of `product_parts`."""
+    high, *parts = product_parts(left_factor, right_factor, slices, multiply)
     low = np.zeros(())
     for part in parts:
         high, low = two_sum(high, part + low)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eig, rsf2csf, schur
@@ -74,23 +74,23 @@ class EliminationResolvent:
     def __init__(self, A: Array) -> None:
         self.A = A
 
-    def columns(self, s: ComplexArray, B: Any) -> ComplexArray:
+    def columns(self, s: ComplexArray, B: Array | ComplexArray) -> ComplexArray:
         """`(s - A)^-1 B`, shape (K, n, m)."""
-        return np.array([_eliminated(point * np.eye(len(self.A)) - self.A, B + 0j) for point in s])
+        return np.array([_eliminated(point * np.eye(len(self.A)) - self.A, np.asarray(B + 0j, complex)) for point in s])
 
-    def rows(self, s: ComplexArray, C: Any) -> ComplexArray:
+    def rows(self, s: ComplexArray, C: Array | ComplexArray) -> ComplexArray:
         """`C (s - A)^-1`, shape (K, p, n)."""
         return np.array([_eliminated((point * np.eye(len(self.A)) - self.A).T, C.T + 0j).T for point in s])
 
 
-def _eliminated(M: Any, right: Any) -> Any:
+def _eliminated(M: ComplexArray, right: ComplexArray) -> ComplexArray:
     if not right.size:
         return right
     factors, pivots, info = zgetrf(M)
     if info:
         return np.full_like(right, np.nan)
     solved, _ = zgetrs(factors, pivots, right)
-    return solved + zgetrs(factors, pivots, right - M @ solved)[0]
+    return np.asarray(solved + zgetrs(factors, pivots, right - M @ solved)[0])
 
 
 class Eigenvalues(NamedTuple):
@@ -101,8 +101,8 @@ class Eigenvalues(NamedTuple):
     """
 
     values: ComplexArray
-    left: ComplexArray
-    right: ComplexArray
+    left_vectors: ComplexArray
+    right_vectors: ComplexArray
     overlap: ComplexArray
     separation: Array
 
@@ -142,9 +142,9 @@ def schur_form(A: Array, turned: bool = False) -> tuple[ComplexArray, ComplexArr
 
 def eigenvalues_of(T: ComplexArray) -> Eigenvalues:
     """Eigenvalues and eigenvectors of a triangular matrix."""
-    values, left, right = eig(T, left=True, right=True, check_finite=False)
-    overlap = np.sum(left.conj() * right, axis=0)
-    return Eigenvalues(values, left, right, overlap, np.maximum(np.abs(overlap), EPS))
+    values, left_vectors, right_vectors = eig(T, left=True, right=True, check_finite=False)
+    overlap = np.sum(left_vectors.conj() * right_vectors, axis=0)
+    return Eigenvalues(values, left_vectors, right_vectors, overlap, np.maximum(np.abs(overlap), EPS))
 
 
 def clusters(values: ComplexArray, radius: Array) -> list[Indices]:

@@ -19,39 +19,39 @@ _WORK = 64  # numbers of workspace for each row, with which reflections are appl
 _SMALL = 40  # rows up to which all singular vectors are as cheap
 
 
-def components(M: Array, right: Array, left: Array) -> tuple[Array, Array, Array]:
+def components(M: Array, right_vector: Array, left_vector: Array) -> tuple[Array, Array, Array]:
     """Singular values of a square matrix, descending, and vectors in the bases of its singular vectors.
 
-    With `M = U diag(sigma) V^T` returns `sigma`, `V^T right` and `U^T left`, for two vectors.  `8 n^3 / 3` operations,
+    With `M = U diag(sigma) V^T` returns `sigma`, `V^T right_vector` and `U^T left_vector`.  `8 n^3 / 3` operations,
     those of `sigma` alone, and O(n^2).
     """
     n = len(M)
     if n <= _SMALL:
-        return _dense(M, right, left)
-    reduced, x, y = np.array(M, order="F"), right.copy(), left.copy()
+        return _dense(M, right_vector, left_vector)
+    reduced, x, y = np.array(M, order="F"), right_vector.copy(), left_vector.copy()
     diagonal, above, for_y, for_x = np.empty((4, n))
-    work, size, one = np.empty(_WORK * n), _int(n), _int(1)
+    work, size, single = np.empty(_WORK * n), _int(n), _int(1)
     _call("dgebrd", size, size, reduced, size, diagonal, above, for_y, for_x, work, _int(len(work)))
     for vector, side, scale in ((y, b"Q", for_y), (x, b"P", for_x)):
-        turn = side, b"L", b"T", size, one, size, reduced, size, scale
+        turn = side, b"L", b"T", size, single, size, reduced, size, scale
         _call("dormbr", *turn, vector, size, work, _int(len(work)))
     return bidiagonal_components(diagonal, above[: n - 1], x, y)
 
 
 def bidiagonal_components(
-    diagonal: Array, above: Array, right: Array, left: Array | None = None
+    diagonal: Array, above: Array, right_vector: Array, left_vector: Array | None = None
 ) -> tuple[Array, Array, Array]:
     """As `components`, of the upper bidiagonal matrix with this diagonal and these numbers above it; O(n^2).
 
     Singular values are right to the last places relative to each, however small.
     """
     n = len(diagonal)
-    sigma, superdiagonal, x = diagonal.copy(), above.copy(), right.copy()
-    y = np.zeros(n) if left is None else left.copy()
-    size, one, none, count = _int(n), _int(1), _int(0), _int(left is not None)
+    sigma, superdiagonal, x = diagonal.copy(), above.copy(), right_vector.copy()
+    y = np.zeros(n) if left_vector is None else left_vector.copy()
+    size, single, none, count = _int(n), _int(1), _int(0), _int(left_vector is not None)
     room = _int(max(1, n))
-    turned, work = (x, room, np.zeros(1), one, y, room), np.empty(4 * n)
-    _call("dbdsqr", b"U", size, one, none, count, sigma, superdiagonal, *turned, work)
+    turned, work = (x, room, np.zeros(1), single, y, room), np.empty(4 * n)
+    _call("dbdsqr", b"U", size, single, none, count, sigma, superdiagonal, *turned, work)
     # where it has vectors to turn, it is content with 90 eps; without any it takes the way of small errors
     sigma, superdiagonal = diagonal.copy(), above.copy()
     _call("dbdsqr", b"U", size, none, none, none, sigma, superdiagonal, *turned, work)
@@ -72,9 +72,9 @@ def bidiagonal_svd(diagonal: Array, above: Array) -> tuple[Array, Array, Array]:
     return U, sigma, Vt
 
 
-def _dense(M: Array, right: Array, left: Array) -> tuple[Array, Array, Array]:
+def _dense(M: Array, right_vector: Array, left_vector: Array) -> tuple[Array, Array, Array]:
     U, sigma, Vt = np.linalg.svd(M)
-    return sigma, Vt @ right, U.T @ left
+    return sigma, Vt @ right_vector, U.T @ left_vector
 
 
 # --- addresses ------------------------------------------------------------------------------------------------

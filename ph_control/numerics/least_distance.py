@@ -22,10 +22,10 @@ def least_distance(M: Array, h: Array, equal: int) -> Array | None:
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     E = np.concatenate([root[:, both] * sign, (sign * h[both])[None] / scale])
     target = np.append(np.zeros(len(root)), 1.0)
-    found, _ = nnls(E, target, maxiter=100 * len(both))
-    left = 1.0 - E[-1] @ found
-    if not left > _EMPTY:
+    solution, _ = nnls(E, target, maxiter=100 * len(both))
+    residual = 1.0 - E[-1] @ solution
+    if not residual > _EMPTY:
         return None
     multipliers = np.zeros(len(h))
-    np.add.at(multipliers, both, sign * found * (scale / left))
+    np.add.at(multipliers, both, sign * solution * (scale / residual))
     return multipliers

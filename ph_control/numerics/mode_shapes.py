@@ -33,8 +33,8 @@ def phase_collinearity(shapes: ComplexArray) -> Array:
     `((l1 - l2) / (l1 + l2))^2`: 0 where they scatter alike in all directions.  That of a shape that vanishes is NaN.
     """
     unit = _unit(shapes)
-    found = np.minimum(np.abs(np.sum(unit * unit, axis=-1)) ** 2, 1.0)
-    return np.where(unit.any(axis=-1), found, np.nan)
+    collinearity = np.minimum(np.abs(np.sum(unit * unit, axis=-1)) ** 2, 1.0)
+    return np.where(unit.any(axis=-1), collinearity, np.nan)
 
 
 def aligned_shapes(shapes: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -90,7 +90,7 @@ def stable_poles(
     ):  # fmt: skip
         if isinstance(value, bool) or not (isinstance(value, int | float | np.floating) and 0 <= value <= 1):
             raise StructureError(f"{name} is {shown(value)}; it must be a number from 0 to 1")
-    found = [np.zeros(len(row), np.int8) for row in poles]
+    stability = [np.zeros(len(row), np.int8) for row in poles]
     assurance = [np.full(len(row), np.nan) for row in poles]
     seen = shapes is not None and all(row.shape[1] > 1 for row in shapes)
     for k in range(1, len(poles)):
@@ -107,9 +107,9 @@ def stable_poles(
         # one level outweighs any sum of distances, of which each counts less than its share of 1
         near = np.where(in_frequency, distance, 0.0) / (frequency_tolerance or 1.0) / (2.0 * (len(d) + 1))
         mine, its = linear_sum_assignment(np.where(in_frequency, near - level, 0.0))
-        found[k][mine] = level[mine, its]
+        stability[k][mine] = level[mine, its]
         assurance[k][mine] = np.where(in_frequency, alike, np.nan)[mine, its]
-    return found, assurance
+    return stability, assurance
 
 
 def _ratios(poles: ComplexArray) -> Array:

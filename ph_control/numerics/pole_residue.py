@@ -14,7 +14,7 @@ from scipy.linalg import schur
 from scipy.linalg.lapack import dgebal, ztrtrs
 
 from .. import _checks
-from .._types import Array, ComplexArray, Indices, Mask
+from .._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..exceptions import NotLosslessError, StructureError
 from .graphs import components
 from .invariant_subspaces import SAFETY, clusters, eigenvalues_of, invariant_block, reordered, schur_form
@@ -71,7 +71,7 @@ class Resolvent(NamedTuple):
         T, Z = schur_form(A)
         return cls(T, Z.conj().T @ B, C @ Z, len(A) * _checks.EPS * float(np.linalg.norm(A)))
 
-    def at(self, points: ComplexArray) -> tuple[ComplexArray, Array]:
+    def evaluate(self, points: ComplexArray) -> tuple[ComplexArray, Array]:
         """Values at points, (N, p, m), and first-order bounds of their errors, (N,).  O(n^2) a point."""
         n = len(self.T)
         into = np.empty((len(points), n, self.inputs.shape[1]), complex)
@@ -106,7 +106,8 @@ def from_state_space(A: Array, B: Array, C: Array, D: Array, rest: float = 0.0) 
 def _joined(forms: list[PoleResidueForm], residues: list[ComplexArray], feedthrough: Array) -> PoleResidueForm:
     """One form with the poles of all, which have these residues in it."""
     names = "poles", "pole_error", "residue_error", "growth", "growth_error"
-    together: dict[str, Any] = {name: np.concatenate([getattr(form, name) for form in forms]) for name in names}
+    together: dict[str, NDArray[Any]]
+    together = {name: np.concatenate([getattr(form, name) for form in forms]) for name in names}
     resolvents = tuple(part for form in forms for part in form.resolvents)
     gain = max(form.gain for form in forms)
     return PoleResidueForm(
@@ -190,7 +191,7 @@ def _spectral_blocks(resolvent: Resolvent, sizes: list[int], rest: float) -> lis
     """One block for all eigenvalues at `rest`; else one for each, or for several that rounding does not tell apart."""
     T, to_modes, from_modes, backward = resolvent
     still = sum(sizes)
-    values, left, right, overlap, separation = eigenvalues_of(T)
+    values, left_vectors, right_vectors, overlap, separation = eigenvalues_of(T)
     # the eigenvalues of a Jordan block of size k scatter by eps^(1/k)
     radius = np.minimum(SAFETY * backward / separation, 4 * _checks.EPS**0.25 * np.linalg.norm(T))
     blocks = []
@@ -200,7 +201,7 @@ def _spectral_blocks(resolvent: Resolvent, sizes: list[int], rest: float) -> lis
         # the residue is the integral along a circle around all that is at rest, and nothing else
         size = 0.5 * float(np.min(np.abs(values[still:] - rest), initial=2 * np.linalg.norm(T))) or 1.0
         circle = rest + size * np.exp(1j * np.pi * (np.arange(4) + 0.5) / 4)
-        known = size * float(np.mean(resolvent.at(circle)[1]))
+        known = size * float(np.mean(resolvent.evaluate(circle)[1]))
         blocks.append(_Block(complex(rest), N, block.outputs, block.inputs, block.separation, len(sizes), known))
     for group in clusters(values[still:], radius[still:]):
         group = group + still
@@ -209,7 +210,8 @@ def _spectral_blocks(resolvent: Resolvent, sizes: list[int], rest: float) -> lis
             # vectors of coinciding eigenvalues are not biorthogonal, and those of a Jordan block parallel
             blocks.append(_joint_block(T, to_modes, from_modes, group))
         else:
-            inputs, outputs = left[None, :, l].conj() @ to_modes / overlap[l], from_modes @ right[:, [l]]
+            inputs = left_vectors[None, :, l].conj() @ to_modes / overlap[l]
+            outputs = from_modes @ right_vectors[:, [l]]
             blocks.append(_Block(values[l], np.zeros((1, 1), complex), outputs, inputs, separation[l], 1))
     return blocks
 
@@ -227,34 +229,34 @@ def _rest_first(resolvent: Resolvent, rest: float) -> tuple[Resolvent, list[int]
     if m == 0:
         return resolvent, []
     S, Q, _ = reordered(T, near)
-    V, left = np.eye(m, dtype=complex), S[:m, :m] - rest * np.eye(m)
+    V, remainder = np.eye(m, dtype=complex), S[:m, :m] - rest * np.eye(m)
     sizes: list[int] = []
     low = high = SAFETY * backward
-    while len(left):
-        _, sigma, Wh = np.linalg.svd(left)
+    while len(remainder):
+        _, sigma, Wh = np.linalg.svd(remainder)
         # what is no more than the error of the steps before may be 0: the widest gap tells
         ladder = np.concatenate([[size], np.maximum(sigma, backward), [backward]])
         least, most = int(np.sum(sigma > high)), int(np.sum(sigma > low))
         rank = least + int(np.argmax(ladder[least : most + 1] / ladder[least + 1 : most + 2]))
-        if rank == len(left):
+        if rank == len(remainder):
             break
         high *= max(1.0, size / sigma[rank - 1]) if rank else 1.0
-        W = np.roll(Wh.conj().T, len(left) - rank, axis=1)
+        W = np.roll(Wh.conj().T, len(remainder) - rank, axis=1)
         V[:, sum(sizes) :] = V[:, sum(sizes) :] @ W
-        sizes.append(len(left) - rank)
+        sizes.append(len(remainder) - rank)
         W = W[:, sizes[-1] :]
-        left = W.conj().T @ left @ W
+        remainder = W.conj().T @ remainder @ W
     k = sum(sizes)
     if k == 0:
         return resolvent, []
-    left, W = schur(left, output="complex") if k < m else (left, left)
+    remainder, W = schur(remainder, output="complex") if k < m else (remainder, remainder)
     V[:, k:] = V[:, k:] @ W
     S[:, :m] = S[:, :m] @ V
     S[:m] = V.conj().T @ S[:m]
     # a step maps into those before it
     step = np.concatenate([np.repeat(np.arange(len(sizes)), sizes), np.full(m - k, len(sizes))])
     exact = np.where(step[:, None] < step, S[:m, :m], 0.0) + rest * np.eye(m)
-    exact[k:, k:] = left + rest * np.eye(m - k)
+    exact[k:, k:] = remainder + rest * np.eye(m - k)
     backward = max(backward, float(np.linalg.norm(S[:m, :m] - exact)))
     S[:m, :m] = exact
     Q[:, :m] = Q[:, :m] @ V
@@ -382,10 +384,10 @@ def _on_the_axis(num: Array, den: Array) -> PoleResidueForm | None:
         return None
     if not (np.isfinite(P).all() and np.isfinite(c).all()):
         return None
-    found = fractions_from_coefficients(P[still:-1:2], c[0::2], c[1::2])
-    if found is None or np.max(found[0][1] / found[0][0]) > COEFFICIENT_LIMIT:
+    fractions = fractions_from_coefficients(P[still:-1:2], c[0::2], c[1::2])
+    if fractions is None or np.max(fractions[0][1] / fractions[0][0]) > COEFFICIENT_LIMIT:
         return None
-    (d, d_error), (even, even_error), (odd, odd_error) = found
+    (d, d_error), (even, even_error), (odd, odd_error) = fractions
     upper = 0.5 * (odd - 1j * even / d) / (1j * d) ** still
     error = 0.5 * (odd_error + even_error / d) / d**still + np.abs(upper) * d_error / d
     at_zero = c[:still] / P[still]

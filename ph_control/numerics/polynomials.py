@@ -167,9 +167,9 @@ def cofactors(d: Array) -> Array:
     in which all terms are positive.
     """
     factors = [np.array([x, 1.0]) for x in np.asarray(d, float) ** 2]
-    one = np.ones(1)
-    before = accumulate(factors[:-1], np.convolve, initial=one)
-    after = list(accumulate(factors[:0:-1], np.convolve, initial=one))[::-1]
+    unit = np.ones(1)
+    before = accumulate(factors[:-1], np.convolve, initial=unit)
+    after = list(accumulate(factors[:0:-1], np.convolve, initial=unit))[::-1]
     rows = [np.convolve(low, high) for low, high in zip(before, after, strict=True)]
     return np.array(rows[: len(factors)]).reshape(len(factors), len(factors))
 
@@ -238,13 +238,13 @@ def fractions_from_coefficients(a: Array, *numerators: Array) -> list[tuple[Arra
         y, P, eps = y * Decimal(4) ** unit, decimals(np.append(1.0, a[::-1])), Decimal(_checks.EPS)
         slope, curvature = (np.polyval(np.polyder(P, order), -y) for order in (1, 2))
         error_y = eps * np.polyval(P, y) / np.abs(slope)
-        found = [(np.sqrt(y), error_y / (2 * np.sqrt(y)))]
+        fractions = [(np.sqrt(y), error_y / (2 * np.sqrt(y)))]
         for numerator in (decimals(c[::-1]) for c in numerators):
             value = np.polyval(numerator, -y) / slope
             moved = np.abs(np.polyval(np.polyder(numerator), -y)) + np.abs(value * curvature)
             rounding = np.polyval(np.abs(numerator), y) + np.abs(value) * np.polyval(np.polyder(P), y)
-            found.append((value, (moved * error_y + eps * rounding) / np.abs(slope)))
-        return [(values.astype(float), errors.astype(float)) for values, errors in found]
+            fractions.append((value, (moved * error_y + eps * rounding) / np.abs(slope)))
+        return [(values.astype(float), errors.astype(float)) for values, errors in fractions]
 
 
 def _simple_positive_roots(P: Array) -> Decimals | None:
@@ -257,18 +257,18 @@ def _simple_positive_roots(P: Array) -> Decimals | None:
     slope, y = np.polyder(wide), decimals(np.maximum.accumulate(start * (1 + 1e-9 * np.arange(n))))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         for _ in range(60):
-            newton, at = np.polyval(wide, -y) / np.polyval(slope, -y), y.astype(float)
+            newton, rounded = np.polyval(wide, -y) / np.polyval(slope, -y), y.astype(float)
             # the other roots repel (Ehrlich and Aberth), so that no two approximations run into one root
-            gaps = at - at[:, None]
+            gaps = rounded - rounded[:, None]
             np.fill_diagonal(gaps, np.inf)
             step = newton / decimals(1 + newton.astype(float) * np.sum(1 / gaps, axis=1))
             y = y + step
-            at = y.astype(float)
-            if not (np.isfinite(at).all() and at.min() > 0):
+            rounded = y.astype(float)
+            if not (np.isfinite(rounded).all() and rounded.min() > 0):
                 return None
-            if np.all(np.abs(step.astype(float)) <= 1e-20 * at):
+            if np.all(np.abs(step.astype(float)) <= 1e-20 * rounded):
                 break
     y = np.sort(y)
-    at, radius = y.astype(float), decimals(4 * _checks.EPS * y.astype(float))
-    apart = np.diff(at) > 2 * (radius[1:] + radius[:-1]).astype(float)
+    rounded, radius = y.astype(float), decimals(4 * _checks.EPS * y.astype(float))
+    apart = np.diff(rounded) > 2 * (radius[1:] + radius[:-1]).astype(float)
     return y if apart.all() and np.all(np.polyval(wide, radius - y) * np.polyval(wide, -radius - y) < 0) else None

@@ -6,10 +6,11 @@ conversions are numbers.  So time and gain are scaled by powers of two, which ro
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import control as ct
 import numpy as np
+import scipy.signal
 from scipy.linalg import block_diag
 from scipy.linalg.lapack import dgebal
 
@@ -18,12 +19,13 @@ from .._types import Array, ComplexArray
 from ..exceptions import StructureError
 from .invariant_subspaces import equilibrated
 
+LinearSystem: TypeAlias = ct.StateSpace | ct.TransferFunction | scipy.signal.lti
 Table = list[list[Array]]
 
 _SAME = 4  # roundings of each coefficient that denominators of one column may differ by, and be one
 
 
-def state_space(sys: Any) -> ct.StateSpace:
+def state_space(sys: ct.StateSpace | ct.TransferFunction) -> ct.StateSpace:
     """Controllable companion forms of the columns of a transfer function, or observable ones of its rows, balanced.
 
     Parameters
@@ -92,10 +94,10 @@ def _realized(sys: ct.TransferFunction, num: Table, den: Table) -> ct.StateSpace
     B, C = (np.ldexp(part, -_exponent(part) + share) for part, share in ((B, gain // 2), (C, gain - gain // 2)))
     A = np.ldexp(A, unit)
     _checks.representable("the state space of the transfer function", A, B, C, D)
-    found = ct.StateSpace(A, B, C, D, sys.dt, inputs=sys.input_labels, outputs=sys.output_labels)
+    realization = ct.StateSpace(A, B, C, D, sys.dt, inputs=sys.input_labels, outputs=sys.output_labels)
     if not sys._generic_name_check():
-        found.name = sys.name
-    return found
+        realization.name = sys.name
+    return realization
 
 
 def transfer_function(sys: ct.StateSpace, **names: Any) -> ct.TransferFunction:
@@ -119,8 +121,10 @@ def transfer_function(sys: ct.StateSpace, **names: Any) -> ct.TransferFunction:
     rate = 0 if sys.isdtime(strict=True) else rate
     gain = into + out - rate
     scaled = ct.StateSpace(np.ldexp(A, -rate), np.ldexp(B, -into), np.ldexp(C, -out), np.ldexp(D, -gain), sys.dt)
-    found = ct.ss2tf(scaled)
-    num, den = ([[np.trim_zeros(p, "f") for p in row] for row in table] for table in (found.num_list, found.den_list))
+    converted = ct.ss2tf(scaled)
+    num, den = (
+        [[np.trim_zeros(p, "f") for p in row] for row in table] for table in (converted.num_list, converted.den_list)
+    )
     with np.errstate(over="ignore", under="ignore"):
         num, den = (
             [
@@ -137,13 +141,13 @@ def transfer_function(sys: ct.StateSpace, **names: Any) -> ct.TransferFunction:
     return ct.TransferFunction(num, den, sys.dt, **names)
 
 
-def poles(sys: Any) -> ComplexArray:
+def poles(sys: ct.StateSpace | ct.TransferFunction) -> ComplexArray:
     """Poles of a state space, or roots of the denominators of a transfer function, those of equal ones once."""
     if isinstance(sys, ct.StateSpace):
         return np.asarray(sys.poles(), complex)
     different: list[Array] = []
     for polynomial in (p for row in sys.den_list for p in row):
-        if not any(_is_same(one / one[0], polynomial) for one in different):
+        if not any(_is_same(known / known[0], polynomial) for known in different):
             different.append(polynomial)
     return np.concatenate([np.roots(polynomial).astype(complex) for polynomial in different])
 
@@ -168,14 +172,14 @@ def _transposed(table: Table) -> Table:
 def _binary_rate(num: Table, den: Table) -> int:
     """Power of 2 next to the median of what roots are in size, those of denominators if any is not 0."""
     for table in (den, num):
-        found = []
+        sizes = []
         for polynomial in (p for row in table for p in row):
             live = np.flatnonzero(polynomial)
             if len(live) > 1:
                 first, last = np.log2(np.abs(polynomial[live[[0, -1]]]))
-                found.append((last - first) / (live[-1] - live[0]))
-        if found:
-            return round(float(np.median(found)))
+                sizes.append((last - first) / (live[-1] - live[0]))
+        if sizes:
+            return round(float(np.median(sizes)))
     return 0
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh
 from scipy.linalg.blas import dtrsm
+from scipy.sparse import csc_array, sparray
 from scipy.sparse.linalg import ArpackError, LinearOperator, SuperLU, cg, eigsh, splu
 
 from .. import _checks
@@ -16,7 +17,7 @@ from .._checks import EPS
 from .._types import Array, Mask
 from ..exceptions import ConditioningWarning, StructureError
 
-Eigensolver = Callable[[Any, Any, int, float], tuple[Any, Any]]
+Eigensolver = Callable[[csc_array, csc_array, int, float], tuple[Array, Array]]
 
 _BELOW = 1e-10  # of the scale of K: the shift below zero that makes rigid modes regular
 _GAP = 1e-6  # relative distance at which neighbouring eigenvalues are told apart by a factorisation
@@ -52,7 +53,7 @@ class Eigenpairs(NamedTuple):
 class Pencil:
     """Symmetric stiffness and mass, sparse, with shift-invert operations; one factorisation is held at a time."""
 
-    def __init__(self, K: Any, M: Any, eigensolver: Eigensolver | None = None) -> None:
+    def __init__(self, K: sparray, M: sparray, eigensolver: Eigensolver | None = None) -> None:
         self.K, self.M, self.eigensolver = K.tocsc(), M.tocsc(), eigensolver
         mass, stiffness = M.diagonal(), np.abs(K.diagonal())
         moving = mass > 0
@@ -103,18 +104,18 @@ class Pencil:
             return soft or self._lanczos(k, shift, None)
         return self.more(soft, k - len(soft.squares), shift)
 
-    def more(self, found: Eigenpairs, k: int, shift: float) -> Eigenpairs:
+    def more(self, known: Eigenpairs, k: int, shift: float) -> Eigenpairs:
         """Search for further eigenpairs in the complement of those found; all together."""
-        total = len(found.squares) + k
-        if self.eigensolver is not None or _vectors(k) >= self.finite - len(found.squares):
+        total = len(known.squares) + k
+        if self.eigensolver is not None or _vectors(k) >= self.finite - len(known.squares):
             return self.nearest(min(total, self.finite), shift)
-        new = self._lanczos(k, shift, found)
-        if self.kernel is not None and len(found.squares) == len(self.kernel.squares):
+        new = self._lanczos(k, shift, known)
+        if self.kernel is not None and len(known.squares) == len(self.kernel.squares):
             # exact to rounding, as what was found in its complement is orthogonal to it
-            return Eigenpairs(np.concatenate([found.squares, new.squares]), np.hstack([found.shapes, new.shapes]))
-        return _ritz(self, np.hstack([found.shapes, new.shapes]))
+            return Eigenpairs(np.concatenate([known.squares, new.squares]), np.hstack([known.shapes, new.shapes]))
+        return _ritz(self, np.hstack([known.shapes, new.shapes]))
 
-    def residuals(self, found: Eigenpairs) -> Array:
+    def residuals(self, eigenpairs: Eigenpairs) -> Array:
         """`||K phi - d2 M phi||` in units of `|| |K| |phi| ||`, what the springs would exert one by one.
 
         Where hardly any spring is strained, as by a loose mass, the rounding of the shape itself is the unit.
@@ -124,10 +125,10 @@ class Pencil:
         rounded = np.where(mass > 0, _SHAPE * EPS / RESIDUAL / np.sqrt(np.where(mass > 0, mass, 1.0)), 0.0)
         floor = size @ rounded
         errors, sizes = [], []
-        for start in range(0, len(found.squares), _AT_ONCE):
+        for start in range(0, len(eigenpairs.squares), _AT_ONCE):
             part = slice(start, start + _AT_ONCE)
-            shapes = found.shapes[:, part]
-            errors.append(np.linalg.norm(self.K @ shapes - (self.M @ shapes) * found.squares[part], axis=0))
+            shapes = eigenpairs.shapes[:, part]
+            errors.append(np.linalg.norm(self.K @ shapes - (self.M @ shapes) * eigenpairs.squares[part], axis=0))
             sizes.append(np.linalg.norm(size @ np.abs(shapes) + floor[:, None], axis=0))
         none = np.zeros(0)
         return np.asarray(np.concatenate([none, *errors]) / np.maximum(np.concatenate([none, *sizes]), _checks.TINY))
@@ -179,10 +180,10 @@ class Pencil:
             return None
         number = _BODY
         while True:
-            found = self._lanczos(number, self.low, None)
-            within = found.squares < soft
+            eigenpairs = self._lanczos(number, self.low, None)
+            within = eigenpairs.squares < soft
             if not within.all() or number >= max(k, _BODY + 1):
-                return Eigenpairs(found.squares[within], found.shapes[:, within]) if within.any() else None
+                return Eigenpairs(eigenpairs.squares[within], eigenpairs.shapes[:, within]) if within.any() else None
             if number == _BODY and (kernel := self._large_kernel(k)) is not None:
                 return kernel
             number = min(2 * number, max(k, _BODY + 1))
@@ -277,7 +278,7 @@ class Pencil:
 class Selection(NamedTuple):
     """Modes that were asked for, those beside them that were found too, and what remains under static forces."""
 
-    found: Eigenpairs
+    eigenpairs: Eigenpairs
     wanted: Mask
     counted: Count  # in the range that was asked for
     deflections: Array
@@ -288,7 +289,7 @@ class Selection(NamedTuple):
 def lowest_modes(pencil: Pencil, number: int, F: Array | None) -> Selection:
     """The lowest modes, and those that cannot be told from the last."""
     shift = pencil.low
-    found = pencil.nearest(min(number + 1, pencil.finite), shift)
+    eigenpairs = pencil.nearest(min(number + 1, pencil.finite), shift)
     if pencil.kernel is not None and len(pencil.kernel.squares) > number:
         warnings.warn(
             f"K has {len(pencil.kernel.squares)} motions without stiffness, more than the {number} modes that were "
@@ -298,24 +299,24 @@ def lowest_modes(pencil: Pencil, number: int, F: Array | None) -> Selection:
             stacklevel=6,
         )
     for _ in range(_ROUNDS):
-        while (last := _end(found.squares, number, pencil)) is None:
-            several = 1 if found is pencil.kernel else 4 + len(found.squares) // 4
-            found = pencil.more(found, min(several, pencil.finite - len(found.squares)), shift)
-        static = _static(pencil, F, found.shapes[:, :last])
-        wanted = np.arange(len(found.squares)) < last
+        while (last := _end(eigenpairs.squares, number, pencil)) is None:
+            several = 1 if eigenpairs is pencil.kernel else 4 + len(eigenpairs.squares) // 4
+            eigenpairs = pencil.more(eigenpairs, min(several, pencil.finite - len(eigenpairs.squares)), shift)
+        static = _static(pencil, F, eigenpairs.shapes[:, :last])
+        wanted = np.arange(len(eigenpairs.squares)) < last
         if last == pencil.finite:
-            return Selection(found, wanted, Count(last, True), *static, np.inf)
+            return Selection(eigenpairs, wanted, Count(last, True), *static, np.inf)
         pencil.release()
-        kept, (low, high) = last, found.squares[last - 1 : last + 1]
+        kept, (low, high) = last, eigenpairs.squares[last - 1 : last + 1]
         for part in (0.5, 0.35, 0.65):
             edge = low + part * (high - low)
             counted = pencil.count(edge)
             if counted.certain:
                 break
         if counted.below <= last or not counted.certain:
-            return Selection(found, wanted, counted, *static, edge)
-        _refuse_negative(pencil, found)
-        found = pencil.more(found, counted.below - last, shift)
+            return Selection(eigenpairs, wanted, counted, *static, edge)
+        _refuse_negative(pencil, eigenpairs)
+        eigenpairs = pencil.more(eigenpairs, counted.below - last, shift)
     raise _missing(pencil, counted.below, kept)
 
 
@@ -326,29 +327,30 @@ def modes_between(pencil: Pencil, low: float, high: float, F: Array | None) -> S
     counted = Count(number, above.certain and below.certain)
     shift = pencil.low if low <= 0 else 0.5 * (low + high)
     n = pencil.K.shape[0]
-    found = pencil.nearest(number, shift) if number > 0 else Eigenpairs(np.zeros(0), np.zeros((n, 0)))
-    inside = _inside(found, low, high)
+    eigenpairs = pencil.nearest(number, shift) if number > 0 else Eigenpairs(np.zeros(0), np.zeros((n, 0)))
+    inside = _inside(eigenpairs, low, high)
     for _ in range(_ROUNDS):
         missing = number - int(inside.sum())
         if missing <= 0 or not counted.certain:
             break
-        _refuse_negative(pencil, found)
-        found = pencil.more(found, missing, shift)
-        inside = _inside(found, low, high)
+        _refuse_negative(pencil, eigenpairs)
+        eigenpairs = pencil.more(eigenpairs, missing, shift)
+        inside = _inside(eigenpairs, low, high)
     else:
         raise _missing(pencil, number, int(inside.sum()))
-    found = Eigenpairs(found.squares[inside], found.shapes[:, inside])
+    eigenpairs = Eigenpairs(eigenpairs.squares[inside], eigenpairs.shapes[:, inside])
     if F is not None and low > 0:
         rigid = pencil.count(-pencil.low).below
         if rigid:
             soft = pencil.nearest(rigid, pencil.low)
             new = soft.squares < low
-            found = Eigenpairs(
-                np.concatenate([soft.squares[new], found.squares]), np.hstack([soft.shapes[:, new], found.shapes])
+            eigenpairs = Eigenpairs(
+                np.concatenate([soft.squares[new], eigenpairs.squares]),
+                np.hstack([soft.shapes[:, new], eigenpairs.shapes]),
             )
-    static = _static(pencil, F, found.shapes)
+    static = _static(pencil, F, eigenpairs.shapes)
     pencil.release()
-    return Selection(found, np.ones(len(found.squares), bool), counted, *static, high if low <= 0 else 0.0)
+    return Selection(eigenpairs, np.ones(len(eigenpairs.squares), bool), counted, *static, high if low <= 0 else 0.0)
 
 
 def _vectors(k: int) -> int:
@@ -356,8 +358,8 @@ def _vectors(k: int) -> int:
     return max(2 * k + 1, 20)
 
 
-def _inside(found: Eigenpairs, low: float, high: float) -> Mask:
-    return (found.squares <= high) & ((found.squares >= low) | (low <= 0))
+def _inside(eigenpairs: Eigenpairs, low: float, high: float) -> Mask:
+    return (eigenpairs.squares <= high) & ((eigenpairs.squares >= low) | (low <= 0))
 
 
 def _end(squares: Array, number: int, pencil: Pencil) -> int | None:
@@ -376,7 +378,7 @@ def _static(pencil: Pencil, F: Array | None, shapes: Array) -> tuple[Array, Arra
     return pencil.residual_flexibility(F, shapes)
 
 
-def _factored(A: Any, shift: float) -> SuperLU:
+def _factored(A: csc_array, shift: float) -> SuperLU:
     try:
         return splu(A.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     except RuntimeError as error:
@@ -386,7 +388,7 @@ def _factored(A: Any, shift: float) -> SuperLU:
         ) from None
 
 
-def _factor_error(A: Any, lu: SuperLU) -> float:
+def _factor_error(A: csc_array, lu: SuperLU) -> float:
     """Frobenius norm of `E A^{-1}`, estimated, where `A - E` is what was factored, scaled to unit diagonal.
 
     Below 1, no eigenvalue of `A - t E` passes zero for t from 0 to 1: the factors have the inertia of `A`.  Of a
@@ -454,15 +456,15 @@ def _orthonormal(pencil: Pencil, shapes: Array) -> tuple[Array, float]:
     return dtrsm(1.0, root * lengths[:, None], shapes, side=1, lower=1, trans_a=1), float(root.diagonal().min())
 
 
-def _refuse_negative(pencil: Pencil, found: Eigenpairs) -> None:
+def _refuse_negative(pencil: Pencil, eigenpairs: Eigenpairs) -> None:
     """Refuse a K or M that is indefinite: then the modes that are missing lie far below zero."""
-    if pencil.count(pencil.low).below > int((found.squares < pencil.low).sum()):
+    if pencil.count(pencil.low).below > int((eigenpairs.squares < pencil.low).sum()):
         raise pencil.indefinite()
 
 
-def _missing(pencil: Pencil, counted: int, found: int) -> StructureError:
+def _missing(pencil: Pencil, counted: int, count: int) -> StructureError:
     by = "the Lanczos iteration" if pencil.eigensolver is None else "the eigensolver"
     return StructureError(
         f"{counted} modes lie in the range that was asked for, by the inertia of a factorisation, and {by} found "
-        f"{found} of them; ask for another number or band, or give another eigensolver"
+        f"{count} of them; ask for another number or band, or give another eigensolver"
     )

@@ -26,15 +26,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, qr, schur, solve_triangular, svd
 from scipy.linalg.lapack import dtrsyl
 
-from .._types import Array, ComplexArray, Mask
+from .._types import Array, ComplexArray, Indices, Mask
 from ..exceptions import StructureError
-from ..modal.general_form import from_matrices
+from ..modal.general_form import GeneralModalForm, from_matrices
 from ..modal.positive_real import Passivity
 from ..systems.passive_form import gramian_root
 
@@ -79,7 +78,7 @@ class FixedPoles:
     scattering: bool
 
     @cached_property
-    def _modes(self) -> Any:
+    def _modes(self) -> GeneralModalForm:
         n, m = self.B.shape
         return from_matrices(self.A, self.B, np.eye(n), np.zeros((n, m)))
 
@@ -208,7 +207,7 @@ class _Cone:
         return np.asarray((moved[:, self.upper[0], self.upper[1]] * self.weights).T)
 
     @cached_property
-    def upper(self) -> Any:
+    def upper(self) -> tuple[Indices, Indices]:
         """Places of the upper triangle of `Z`."""
         return np.triu_indices(self.size)
 
@@ -245,9 +244,9 @@ class _Cone:
             return np.hstack([modes.reshape(len(M), m * n), M[:, m * n :]])
 
         both = turned(near, W.conj()) + turned(far, W.conj()).conj()
-        found = 2 * np.real(turned(both.T, W).T)
+        products = 2 * np.real(turned(both.T, W).T)
         full = np.zeros((self.B.size + len(self.through),) * 2)
-        full[: len(found), : len(found)] = found
+        full[: len(products), : len(products)] = products
         return full
 
     def inside(self) -> Array:

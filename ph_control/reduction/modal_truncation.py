@@ -9,7 +9,6 @@ projection on any subspace by an orthonormal basis is one too.  On an invariant 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.linalg import eig, eigh, qr, schur, svd
@@ -162,11 +161,11 @@ def _beside(V: Array, static: Array) -> Array:
 
 def _selected(T: Array, B: Array, C: Array, wanted: Wanted, extra: int) -> Mask:
     """Rows of a real Schur form whose modes are kept, by the height of their resonances."""
-    found, left, right = eig(T, left=True, right=True)
+    eigenvalues, left_vectors, right_vectors = eig(T, left=True, right=True)
     with np.errstate(all="ignore"):
-        norm = np.abs(np.sum(left.conj() * right, axis=0))
-        height = np.linalg.norm(C @ right, axis=0) * np.linalg.norm(left.conj().T @ B, axis=1) / norm
-        height = height / np.abs(found.real)
+        norm = np.abs(np.sum(left_vectors.conj() * right_vectors, axis=0))
+        height = np.linalg.norm(C @ right_vectors, axis=0) * np.linalg.norm(left_vectors.conj().T @ B, axis=1) / norm
+        height = height / np.abs(eigenvalues.real)
     height = np.where(np.isfinite(height), height, np.inf)
     poles = np.diag(T).astype(complex)
     pairs = np.flatnonzero(np.diag(T, -1))
@@ -174,7 +173,7 @@ def _selected(T: Array, B: Array, C: Array, wanted: Wanted, extra: int) -> Mask:
     poles[pairs] += 1j * beside
     poles[pairs + 1] -= 1j * beside
     # eigenvalues may come in another order than in the form
-    height = height[linear_sum_assignment(np.abs(poles[:, None] - found))[1]]
+    height = height[linear_sum_assignment(np.abs(poles[:, None] - eigenvalues))[1]]
     first = np.flatnonzero(poles.imag >= 0)
     states = np.where(poles.imag[first] > 0, 2, 1)
     chosen = wanted.chosen(np.abs(poles[first]), states, height[first], extra)
@@ -204,15 +203,15 @@ def lossless_truncated(modes: ModalForm, wanted: Wanted) -> tuple[ModalForm, flo
     if not kept.any():
         raise StructureError(_nothing(wanted))
     low, high = wanted.band or (0.0, float(modes.d[elastic].max(initial=0.0)))
-    left = ~elastic
-    above = left & (modes.d > high * (1 + _SAME))
+    omitted = ~elastic
+    above = omitted & (modes.d > high * (1 + _SAME))
     stiff = _stiff_modes(modes.d[above], modes.nu[above]) if extra and above.any() else None
     d_kept, nu_kept = modes.d[elastic], modes.nu[elastic]
     if stiff is not None:
         d_kept, nu_kept = np.append(d_kept, stiff.d), np.concatenate([nu_kept, stiff.nu])
     bound = 0.0
-    below = left & (modes.d < low * (1 - _SAME))
-    if (left & ~above & ~below).any() or (not rigid.all() and low == 0):
+    below = omitted & (modes.d < low * (1 - _SAME))
+    if (omitted & ~above & ~below).any() or (not rigid.all() and low == 0):
         bound = np.inf
     elif high > 0:
         tail = _value(modes.d[above], modes.nu[above], high, m)
@@ -228,11 +227,11 @@ def lossless_truncated(modes: ModalForm, wanted: Wanted) -> tuple[ModalForm, flo
 def _value(d: Array, nu: ComplexArray, w: float, m: int) -> ComplexArray:
     if not len(d):
         return np.zeros((m, m), complex)
-    found: ComplexArray = np.asarray(ModalForm(d, nu, np.zeros((0, m))).freqresp(w), complex).reshape(m, m)
-    return found
+    value: ComplexArray = np.asarray(ModalForm(d, nu, np.zeros((0, m))).freqresp(w), complex).reshape(m, m)
+    return value
 
 
-def _stiff_modes(d: Array, nu: ComplexArray) -> Any:
+def _stiff_modes(d: Array, nu: ComplexArray) -> ModalForm:
     """Modes of the static deflections of modes left out, as many as ports."""
     weighted = np.sqrt(d)[:, None] * nu
     B: Array = np.concatenate([weighted.real, weighted.imag])

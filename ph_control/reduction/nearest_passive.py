@@ -12,17 +12,19 @@ from scipy.linalg import block_diag
 
 from .. import _checks
 from .._threads import on_one_thread
-from .._types import Array, ComplexArray
+from .._types import Array, ArrayLike, ComplexArray
 from .._units import DERIVATIVES, with_unit
 from ..analysis.passivity import KINDS, PassivityReport, passivity
 from ..exceptions import ConditioningWarning, StructureError
 from ..modal.general_form import real_matrices
 from ..modal.positive_real import Split, split_axis
 from ..numerics.rational import state_space
-from ..systems.base import inherited_names
+from ..systems.base import Convertible, inherited_names
 from ..systems.passive_form import joined, lossless_parts, minimal_part
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 from .closest_passive import Closest, FixedPoles, closest_passive
+
+Weight = str | tuple[Array, Array]  # name of a metric, or frequencies and the weights there
 
 _ACTIVE = 1e-12  # of its size: what a feedthrough that cannot move may lack of passivity
 _RIDGE = 1e-13  # of the largest: least information on what moves
@@ -30,7 +32,9 @@ _STEADY = (0.1, 0.3, 1.0, 3.0)  # standard errors of damping ratios that growing
 
 
 @on_one_thread
-def nearest_passive(sys_or_result: Any, *, weight: Any = None, kind: str = "immittance") -> Any:
+def nearest_passive(
+    sys_or_result: Any, *, weight: str | tuple[ArrayLike, ArrayLike] | None = None, kind: str = "immittance"
+) -> ct.StateSpace:
     """Find the passive model next to a system or a fit, with the same poles.
 
     Parameters
@@ -91,7 +95,7 @@ def nearest_passive(sys_or_result: Any, *, weight: Any = None, kind: str = "immi
     return _of_fit(sys_or_result, given, kind)
 
 
-def _weight(weight: Any, default: str) -> Any:
+def _weight(weight: str | tuple[ArrayLike, ArrayLike] | None, default: str) -> Weight:
     if weight is None or isinstance(weight, str):
         return default if weight is None else _checks.choice("weight", weight, ("covariance", "h2"))
     if not isinstance(weight, tuple | list) or len(weight) != 2:
@@ -99,7 +103,7 @@ def _weight(weight: Any, default: str) -> Any:
             f"weight is {_checks.shown(weight)}; pass 'covariance', 'h2', or a pair (omega, weights) of arrays"
         )
     parts = zip(("omega", "weights"), weight, strict=True)
-    omega, values = (np.atleast_1d(_checks.real_array(name, one)) for name, one in parts)
+    omega, values = (np.atleast_1d(_checks.real_array(name, array)) for name, array in parts)
     if omega.ndim != 1 or omega.shape != values.shape or not len(omega) or omega.min() < 0 or values.min() < 0:
         raise StructureError(
             f"the weight has frequencies of shape {omega.shape} and values of shape {values.shape}, the least "
@@ -111,7 +115,7 @@ def _weight(weight: Any, default: str) -> Any:
 # --- systems ------------------------------------------------------------------------------------------------------
 
 
-def _of_system(sys: Any, weight: Any, kind: str) -> Any:
+def _of_system(sys: Convertible, weight: Weight, kind: str) -> ct.StateSpace:
     report = passivity(sys, kind)
     _refuse_unstable(report)
     plain = state_space(sys)
@@ -127,14 +131,14 @@ def _of_system(sys: Any, weight: Any, kind: str) -> Any:
         )
     A, B, C = minimal_part(*split.rest, m)
     axis, lost = _positive_axis(split)
-    found = Closest(C, D, 0.0, np.zeros(0))
+    closest = Closest(C, D, 0.0, np.zeros(0))
     if len(A):
         family = FixedPoles(A, B, scattering)
-        found = closest_passive(family, C, D, _covariance(family, C, D, weight))
+        closest = closest_passive(family, C, D, _covariance(family, C, D, weight))
     names = inherited_names(plain, {}, "inputs", "outputs")
-    A, B, C = _with_axis((A, B, found.C), axis, m)
-    model = ct.ss(A, B, C, found.D, **names)
-    return _passive_model(model, model, kind, found.distance + (np.inf if lost else 0.0))
+    A, B, C = _with_axis((A, B, closest.C), axis, m)
+    model = ct.ss(A, B, C, closest.D, **names)
+    return _passive_model(model, model, kind, closest.distance + (np.inf if lost else 0.0))
 
 
 def _refuse_unstable(report: PassivityReport) -> None:
@@ -145,10 +149,10 @@ def _refuse_unstable(report: PassivityReport) -> None:
         )
 
 
-def _passive_model(sys: Any, plain: ct.StateSpace, kind: str, cost: float) -> Any:
+def _passive_model(sys: Convertible, plain: ct.StateSpace, kind: str, cost: float) -> ct.StateSpace:
     """The model as it is given away, judged by the exact test."""
     if kind == "scattering":
-        model: Any = ct.ss(plain)
+        model = ct.ss(plain)
         if cost and not passivity(model, kind).is_passive:
             raise StructureError("rounding hides whether the model is passive; give it in better scaled states")
     else:
@@ -162,7 +166,7 @@ def _passive_model(sys: Any, plain: ct.StateSpace, kind: str, cost: float) -> An
 
 def _positive_axis(split: Split) -> tuple[list[tuple[float, ComplexArray]], bool]:
     """Residues on the axis without what is not positive semidefinite, and whether something was."""
-    found, lost = [], False
+    residues, lost = [], False
     for w, K in split.axis:
         if not np.isfinite(K).all():
             raise StructureError(
@@ -174,8 +178,8 @@ def _positive_axis(split: Split) -> tuple[list[tuple[float, ComplexArray]], bool
         kept = (U * np.maximum(values, 0.0)) @ U.conj().T
         lost = lost or bool(np.linalg.norm(kept - K) > 1e-8 * np.linalg.norm(K))
         if values[-1] > 0:
-            found.append((w, np.asarray(kept, complex)))
-    return found, lost
+            residues.append((w, np.asarray(kept, complex)))
+    return residues, lost
 
 
 def _with_axis(
@@ -192,7 +196,7 @@ def _with_axis(
     )
 
 
-def _covariance(family: FixedPoles, C: Array, D: Array, weight: Any) -> Array | None:
+def _covariance(family: FixedPoles, C: Array, D: Array, weight: Weight) -> Array | None:
     """Inverse of the metric of the entries of `C` and `D`; None of the H2 norm, in which `D` does not move."""
     m, n = C.shape
     if isinstance(weight, str):
@@ -212,7 +216,7 @@ def _h2_covariance(family: FixedPoles, m: int) -> Array:
     return _blocks(_inverse(ct.lyap(family.A, family.B @ family.B.T)), np.zeros((m, m)), m)
 
 
-def _inverse(information: Any) -> Array:
+def _inverse(information: Array) -> Array:
     """Inverse of an information matrix, in which nothing is quite unknown."""
     scale = np.sqrt(np.diag(information))
     scale = np.where(scale > 0, scale, 1.0)
@@ -255,37 +259,37 @@ class _PortMap:
         return moved[: m * n].reshape(m, n), moved[m * n :].reshape(m, m)
 
 
-def _of_fit(result: Any, weight: Any, kind: str) -> Any:
-    found, cost = passive_fit(result, weight, kind)
-    model: Any = found.observed_system if kind == "scattering" else found.system
+def _of_fit(result: Any, weight: Weight, kind: str) -> ct.StateSpace:
+    fit, cost = passive_fit(result, weight, kind)
+    model = fit.observed_system if kind == "scattering" else fit.system
     if cost or kind == "scattering":
         return _passive_model(model, model, kind, cost)
     return _unchanged(result)
 
 
-def _unchanged(result: Any) -> Any:
+def _unchanged(result: Any) -> PortHamiltonian:
     """The model of a fit that is passive as it is."""
     model = ph(result.system)
     model.cost = 0.0
     return with_unit(model, result.time_unit)
 
 
-def passive_fit(result: Any, weight: Any, kind: str) -> tuple[Any, float]:
+def passive_fit(result: Any, weight: Weight, kind: str) -> tuple[Any, float]:
     """A fit with passive residues and feedthrough, and its squared distance."""
     if (result.poles.real < 0).all():
         return _moved(result, weight, kind, 0.0)
-    found, refusal = [], None
+    fits, refusal = [], None
     for steady in _STEADY:
         try:
-            found.append(_moved(result, weight, kind, steady))
+            fits.append(_moved(result, weight, kind, steady))
         except StructureError as refused:
             refusal = refused
-    if refusal is not None and not found:
+    if refusal is not None and not fits:
         raise refusal
-    return min(found, key=lambda one: one[1])
+    return min(fits, key=lambda candidate: candidate[1])
 
 
-def _moved(result: Any, weight: Any, kind: str, steady: float) -> tuple[Any, float]:
+def _moved(result: Any, weight: Weight, kind: str, steady: float) -> tuple[Any, float]:
     """The fit of poles that decay by so many standard errors, made passive."""
     pairs = _driving_points(result, kind)
     start, covariance, cost = _decaying(result, steady)
@@ -293,8 +297,8 @@ def _moved(result: Any, weight: Any, kind: str, steady: float) -> tuple[Any, flo
     theta = _parameters(start)
     C, D = ports.split(theta)
     if weight != "covariance":
-        found = _covariance(ports.family, C, D, weight)
-        moved = _inverse(_h2_covariance(ports.family, len(D)) if found is None else found)
+        metric_inverse = _covariance(ports.family, C, D, weight)
+        moved = _inverse(_h2_covariance(ports.family, len(D)) if metric_inverse is None else metric_inverse)
         covariance = np.linalg.pinv(ports.map.T @ moved @ ports.map, rcond=_RIDGE, hermitian=True)
     closest = closest_passive(ports.family, C, D, ports.map @ covariance @ ports.map.T)
     theta = theta + covariance @ (ports.map.T @ closest.force)

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag, qr, schur
@@ -162,12 +162,12 @@ def stationary_models(full: Full, order: int) -> list[tuple[float, Matrices]]:
         A, B, C = (M + np.abs(M).mean() * rng.standard_normal(M.shape) for M in start)
         starts.append((A, B, C))
     full = in_modes(full)
-    found = _best(_stationary(full, one, _SHORT) for one in starts)[:_KEPT]
-    return _best(_stationary(full, model, _ITERATIONS) for _, model in found)
+    stationary = _best(_stationary(full, model, _SHORT) for model in starts)[:_KEPT]
+    return _best(_stationary(full, model, _ITERATIONS) for _, model in stationary)
 
 
 def _best(models: Iterable[tuple[float, Matrices]]) -> list[tuple[float, Matrices]]:
-    return sorted(models, key=lambda one: one[0])
+    return sorted(models, key=lambda candidate: candidate[0])
 
 
 def _stationary(full: Full, start: Matrices, iterations: int) -> tuple[float, Matrices]:
@@ -271,8 +271,8 @@ def best_passive(full: Full, start: Parts) -> tuple[Parts, float]:
         f, by = full.error(model)
         return (size + f) / before, layout.gradient(x, by) / before
 
-    options: Any = {"maxiter": _STEPS, "maxfun": 2 * _STEPS, "ftol": _ENOUGH, "gtol": _ENOUGH, "maxcor": 30}
-    found = minimize(value, x, jac=True, method="L-BFGS-B", options=options)
-    if not found.fun < 1:
+    options = {"maxiter": _STEPS, "maxfun": 2 * _STEPS, "ftol": _ENOUGH, "gtol": _ENOUGH, "maxcor": 30}
+    solution = minimize(value, x, jac=True, method="L-BFGS-B", options=options)
+    if not solution.fun < 1:
         return start, before - size
-    return layout.parts(found.x, start), before * float(found.fun) - size
+    return layout.parts(solution.x, start), before * float(solution.fun) - size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import Any
 
 import control as ct
@@ -13,7 +14,7 @@ from ..systems.dissipative import parts_of
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 
 
-def to_pymor(sys: Any) -> Any:
+def to_pymor(sys: ct.StateSpace) -> Any:
     """Make a model of pyMOR.
 
     Parameters
@@ -93,13 +94,13 @@ def from_pymor(model: Any) -> ct.StateSpace:
             f"this is a {type(model).__name__}, expected an LTIModel or PHLTIModel of pyMOR in continuous time"
         )
     if isinstance(model, iosys.PHLTIModel):
-        J, R, G, P, S, N, E, Q = (_dense(one) for one in model.to_matrices())
+        J, R, G, P, S, N, E, Q = (_dense(matrix) for matrix in model.to_matrices())
         n = len(J)
         energy = np.eye(n) if Q is None else Q
         if E is not None:
             energy = _divided(energy.T, E.T).T
         return ph(0.5 * (energy + energy.T), G, J=J, R=np.zeros((n, n)) if R is None else R, P=P, S=S, N=N)
-    A, B, C, D, E = (_dense(one) for one in model.to_matrices()[:5])
+    A, B, C, D, E = (_dense(matrix) for matrix in model.to_matrices()[:5])
     if E is not None:
         A, B = _divided(A, E), _divided(B, E)
     return ct.ss(A, B, C, np.zeros((len(C), B.shape[1])) if D is None else D)
@@ -121,7 +122,7 @@ def _dense(matrix: Any) -> Any:
     return np.array(matrix.toarray() if hasattr(matrix, "toarray") else matrix, float)
 
 
-def _iosys() -> Any:
+def _iosys() -> ModuleType:
     try:
         from pymor.models import iosys
     except ImportError:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property
-from typing import Any
 
 import control as ct
 import numpy as np
@@ -17,7 +16,7 @@ from .._types import Array
 from ..exceptions import StructureError
 from ..modal.positive_real import split_axis
 from ..structures.second_order_system import SecondOrderSystem, truncation_errors
-from ..systems.base import inherited_names
+from ..systems.base import Convertible, inherited_names
 from ..systems.dissipative import parts_of, restored
 from ..systems.passive_form import PortRows, joined, lossless_parts, minimal_part, stored_parts
 from ..systems.port_hamiltonian import PortHamiltonian, ph
@@ -34,11 +33,11 @@ _BEYOND = 1.5  # times the end of the band: up to where modes of a large structu
 
 @on_one_thread
 def reduce(
-    sys: Any,
+    sys: Convertible | SecondOrderSystem,
     order: int | None = None,
     *,
     tolerance: float | None = None,
-    band: Any = None,
+    band: tuple[float, float] | None = None,
     method: str = "modal",
     residual_modes: bool = True,
 ) -> PortHamiltonian:
@@ -122,7 +121,9 @@ def reduce(
     return _finished(system, parts, error)
 
 
-def _wanted(order: Any, tolerance: Any, band: Any, method: str, residual_modes: bool) -> Wanted:
+def _wanted(
+    order: int | None, tolerance: float | None, band: tuple[float, float] | None, method: str, residual_modes: bool
+) -> Wanted:
     if tolerance is not None and (order is not None or band is not None):
         raise StructureError("tolerance chooses the number of states; give it without order and band")
     if order is None and tolerance is None and band is None:
@@ -142,7 +143,7 @@ def _is_plain(system: PortHamiltonian) -> bool:
 
 
 def _copy(system: PortHamiltonian) -> PortHamiltonian:
-    again: Any = system._converted()
+    again = system._converted()
     again.error_bound = 0.0
     return again
 
@@ -170,7 +171,12 @@ def _of_lossless(system: PortHamiltonian, wanted: Wanted, tolerance: float | Non
 
 
 def _of_structure(
-    sys: SecondOrderSystem, order: Any, tolerance: Any, band: Any, method: str, residual_modes: bool
+    sys: SecondOrderSystem,
+    order: int | None,
+    tolerance: float | None,
+    band: tuple[float, float] | None,
+    method: str,
+    residual_modes: bool,
 ) -> PortHamiltonian:
     """By a model of more modes than are kept, whose difference from the structure is bounded below those left out."""
     if tolerance is not None:
@@ -218,9 +224,9 @@ def _smallest(made: Callable[[int], tuple[Parts, float]], most: int, allowed: fl
     best = None
     while high - low > 1:
         middle = (low + high) // 2
-        found = made(middle)
-        if found[1] <= allowed:
-            best, high = found, middle
+        candidate = made(middle)
+        if candidate[1] <= allowed:
+            best, high = candidate, middle
         else:
             low = middle
     return best or made(most)
@@ -282,8 +288,8 @@ class _Reducer:
                 break
             with suppress(StructureError):  # a model that cannot be made passive
                 start = _passive(model, D, self.m)
-                found = best_passive(full, start) if len(start["Q"]) else None
-                best = found if best is None or (found and found[1] < best[1]) else best
+                candidate = best_passive(full, start) if len(start["Q"]) else None
+                best = candidate if best is None or (candidate and candidate[1] < best[1]) else best
         best = best or best_passive(full, _in_units(self._balanced(order), 1 / rate, 1 / size))
         return _in_units(best[0], rate, size)
 
@@ -316,10 +322,10 @@ def _sizes(A: Array, B: Array, C: Array, D: Array) -> tuple[float, float]:
     return rate, float(np.linalg.norm(B) * np.linalg.norm(C)) / rate + float(np.linalg.norm(D)) or 1.0
 
 
-def _difference(one: Matrices, other: Matrices) -> float:
+def _difference(first: Matrices, second: Matrices) -> float:
     """Largest gain of the difference of two systems of the same feedthrough."""
-    A = block_diag(one[0], other[0])
-    B, C = np.vstack([one[1], other[1]]), np.hstack([one[2], -other[2]])
+    A = block_diag(first[0], second[0])
+    B, C = np.vstack([first[1], second[1]]), np.hstack([first[2], -second[2]])
     return _largest_gain(A, B, C, np.zeros((len(C), B.shape[1])))
 
 

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 from scipy.linalg import eigh
 
 from .. import _checks
 from .._display import Report, aligned, to_its_error
 from .._frozen import Frozen, ReadOnlyMapping
-from .._types import Array
+from .._types import Array, ArrayLike
 from ..exceptions import StructureError
 
 _ROUNDING = 100.0  # roundings of a sum that is 0
@@ -95,7 +96,7 @@ class BaseMotion(Report, Frozen):
         return cells
 
 
-def base_directions(base: Any, n: int) -> Array:
+def base_directions(base: ArrayLike | None, n: int) -> Array:
     """Check directions (n,) or (n, r) in which the degrees of freedom move with the base."""
     if base is None:
         return np.zeros((n, 0))
@@ -113,7 +114,7 @@ def base_directions(base: Any, n: int) -> Array:
     return directions
 
 
-def base_forces(M: Any, directions: Array) -> Array:
+def base_forces(M: Array | sparse.csc_array, directions: Array) -> Array:
     """Forces `-M base` per unit of acceleration of the base."""
     forces = -np.asarray(M @ directions)
     still = np.flatnonzero(~forces.any(axis=0))

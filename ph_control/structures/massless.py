@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpotri, dpstrf
+from scipy.sparse import csc_array
 
 from .. import _checks
-from .._types import Array, Indices
+from .._types import Array, Indices, Mask
 from ..exceptions import StructureError
 from ..numerics import definiteness as _definite
 from .rigid import ROUNDED_MASS, zeros_by_rounding
@@ -74,7 +75,7 @@ def _condensed(whole: Structure, kept: Indices, massless: Indices) -> Structure:
     mass = M[np.ix_(kept, kept)]
     still = np.zeros((n, len(massless)))
     still[kept], still[massless] = -inverse(mass) @ M[np.ix_(kept, massless)], np.eye(len(massless))
-    exact = ~M[massless].any(axis=1)
+    exact = np.asarray(~M[massless].any(axis=1))
     _refuse_forces(M, F, still, exact, massless)
     for matrix in (C, G):
         if matrix is not None:
@@ -96,7 +97,7 @@ def _condensed(whole: Structure, kept: Indices, massless: Indices) -> Structure:
     return Structure(mass, damping, gyroscopic, stiffness, F[kept], motion, kept)
 
 
-def _refuse_forces(M: Array, F: Array, still: Array, exact: Any, massless: Indices) -> None:
+def _refuse_forces(M: Array, F: Array, still: Array, exact: Mask, massless: Indices) -> None:
     """Refuse forces that act on massless motions by more than these are known."""
     scale = _definite.unit_diagonal(M)[1]
     motions = still * scale[:, None]
@@ -118,7 +119,7 @@ def _refuse_forces(M: Array, F: Array, still: Array, exact: Any, massless: Indic
     )
 
 
-def _refuse_dampers(M: Array, C: Array, still: Array, exact: Any, massless: Indices) -> None:
+def _refuse_dampers(M: Array, C: Array, still: Array, exact: Mask, massless: Indices) -> None:
     """Refuse dampers and gyroscopes that act on massless motions by more than these are known."""
     scale = _definite.unit_diagonal(M)[1]
     motions = still * scale[:, None]
@@ -141,7 +142,7 @@ def inverse(M: Array) -> Array:
     return lower + np.tril(lower, -1).T
 
 
-def refuse_massless(M: Any, others: Sequence[Any], F: Array, condense: bool) -> None:
+def refuse_massless(M: csc_array, others: Sequence[csc_array | None], F: Array, condense: bool) -> None:
     """Check degrees of freedom without mass of a sparse structure: allowed where they only follow the others.
 
     `others` are the damping and the gyroscopic matrix, or None.

@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 
 from .. import _checks
 from .._frozen import Frozen
-from .._types import Array
+from .._types import Array, ArrayLike
 from ..exceptions import ConditioningWarning, StructureError
 from ..numerics.shift_invert import RESIDUAL, Eigensolver, Pencil, Selection, lowest_modes, modes_between
 from .rigid import energy_parts, rigid_modes
@@ -79,18 +79,26 @@ class StructuralModes(Frozen):
     complete_below: float = 0.0
 
 
+@dataclass(frozen=True)
+class ModeChoice:
+    """Which modes of a large structure are kept, the lowest or those in a band, and what computes them."""
+
+    modes: int | None
+    band: tuple[float, float] | None
+    residual_modes: bool
+    eigensolver: Eigensolver | None
+
+
 def structural_modes(
-    M: Any, K: Any, F: Array, *, modes: Any, band: Any, residual_modes: bool, rtol: float | None,
-    eigensolver: Eigensolver | None,
-) -> StructuralModes:  # fmt: skip
-    """Modes of checked sparse matrices; F is None where no residual modes are wanted."""
-    pencil = Pencil(K, M, eigensolver)
-    static = F if residual_modes else None
-    chosen = _chosen(pencil, modes, band, static)
-    found, wanted = chosen.found, chosen.wanted
-    energy = energy_parts(K.diagonal(), *found, pencil.scale)
-    rigid = rigid_modes(found.squares, energy, K.shape[0], rtol, pencil.scale)[wanted]
-    kept = type(found)(found.squares[wanted], found.shapes[:, : wanted.sum()])
+    M: sparse.csc_array, K: sparse.csc_array, F: Array, choice: ModeChoice, rtol: float | None
+) -> StructuralModes:
+    """Modes of checked sparse matrices."""
+    pencil = Pencil(K, M, choice.eigensolver)
+    chosen = _chosen(pencil, choice, F if choice.residual_modes else None)
+    eigenpairs, wanted = chosen.eigenpairs, chosen.wanted
+    energy = energy_parts(K.diagonal(), *eigenpairs, pencil.scale)
+    rigid = rigid_modes(eigenpairs.squares, energy, K.shape[0], rtol, pencil.scale)[wanted]
+    kept = type(eigenpairs)(eigenpairs.squares[wanted], eigenpairs.shapes[:, : wanted.sum()])
     residuals = pencil.residuals(kept)
     if residuals.max(initial=0.0) > RESIDUAL:
         raise StructureError(
@@ -100,7 +108,9 @@ def structural_modes(
     squares = np.where(rigid, 0.0, np.maximum(kept.squares, 0.0))
     stiff, residual_shapes = _residual_modes(pencil, chosen, F, kept.shapes, squares)
     if not len(squares) + len(stiff):
-        raise StructureError(f"the structure has no natural frequency in the band {_checks.shown(band)}; widen it")
+        raise StructureError(
+            f"the structure has no natural frequency in the band {_checks.shown(choice.band)}; widen it"
+        )
     complete = chosen.counted.certain and chosen.counted.below <= len(squares)
     if not complete:
         warnings.warn(
@@ -116,10 +126,10 @@ def structural_modes(
     )  # fmt: skip
 
 
-def _chosen(pencil: Pencil, modes: Any, band: Any, static: Array | None) -> Selection:
-    if band is None:
-        return lowest_modes(pencil, _checks.whole_number("modes", modes, 1, pencil.finite), static)
-    low, high = (edge**2 for edge in _checks.band(band))
+def _chosen(pencil: Pencil, choice: ModeChoice, static: Array | None) -> Selection:
+    if choice.band is None:
+        return lowest_modes(pencil, _checks.whole_number("modes", choice.modes, 1, pencil.finite), static)
+    low, high = (edge**2 for edge in _checks.band(choice.band))
     return modes_between(pencil, low, high, static)
 
 
@@ -142,13 +152,13 @@ def _residual_modes(pencil: Pencil, chosen: Selection, F: Array, shapes: Array, 
     return np.maximum(stiff, 0.0), deflections @ (turn @ within)
 
 
-def projected_gyroscopic(G: Any, basis: Array) -> Array:
+def projected_gyroscopic(G: sparse.csc_array, basis: Array) -> Array:
     """Gyroscopic matrix of the modes, skew."""
     reduced = np.asarray(basis.T @ (G @ basis))
     return 0.5 * (reduced - reduced.T)
 
 
-def projected_damping(C: Any, basis: Array) -> Array | None:
+def projected_damping(C: sparse.csc_array, basis: Array) -> Array | None:
     """Damping matrix of the modes; that of classical damping is diagonal."""
     reduced = np.asarray(basis.T @ (C @ basis))
     reduced = 0.5 * (reduced + reduced.T)
@@ -159,7 +169,7 @@ def projected_damping(C: Any, basis: Array) -> Array | None:
     return np.diag(np.diag(reduced)) if (coupling <= _CLASSICAL * size * size[:, None]).all() else reduced
 
 
-def _sparse_square(name: str, value: Any, n: int | None) -> Any:
+def _sparse_square(name: str, value: Any, n: int | None) -> sparse.csc_array:
     """Check the entries and the size of a square matrix, sparse or dense; the result is sparse."""
     given = value if sparse.issparse(value) else _checks.real_array(name, value, 2)
     if sparse.issparse(given):
@@ -180,7 +190,7 @@ def _sparse_square(name: str, value: Any, n: int | None) -> Any:
     return matrix
 
 
-def sparse_matrix(name: str, value: Any, n: int | None = None) -> Any:
+def sparse_matrix(name: str, value: ArrayLike | sparse.sparray, n: int | None = None) -> sparse.csc_array:
     """Check a symmetric matrix, sparse or dense; the result is sparse."""
     matrix = _sparse_square(name, value, n)
     largest = float(np.abs(matrix.data).max(initial=0.0))
@@ -195,7 +205,7 @@ def sparse_matrix(name: str, value: Any, n: int | None = None) -> Any:
     return matrix if asymmetry == 0 else (0.5 * (matrix + matrix.T)).tocsc()
 
 
-def sparse_skew_matrix(name: str, value: Any, n: int) -> Any:
+def sparse_skew_matrix(name: str, value: ArrayLike | sparse.sparray, n: int) -> sparse.csc_array | None:
     """Check a skew-symmetric matrix, sparse or dense; the result is sparse, or None if it is zero."""
     matrix = _sparse_square(name, value, n)
     largest, even = (float(np.abs(part.data).max(initial=0.0)) for part in (matrix, (matrix + matrix.T).tocsc()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -22,6 +22,7 @@ from .base_motion import absolute, base_directions, base_forces, motion_of_modes
 from .massless import Structure, inverse, refuse_massless, symmetric, with_mass
 from .modal_reduction import (
     NOTES,
+    ModeChoice,
     dense,
     projected_damping,
     projected_gyroscopic,
@@ -46,6 +47,19 @@ _ADVICE = {
     "u = -(K - K.T)/2 q with control.feedback",
 }
 _KINDS = ("position", "displacement", "velocity", "acceleration")
+
+
+class _GivenStructure(NamedTuple):
+    """Structure and what is measured of it, as `from_second_order` takes them."""
+
+    M: ArrayLike | sparse.sparray
+    K: ArrayLike | sparse.sparray
+    F: ArrayLike | sparse.sparray | None
+    C: ArrayLike | sparse.sparray | None
+    G: ArrayLike | sparse.sparray | None
+    sensors: Mapping[str, ArrayLike] | ArrayLike | None
+    base: ArrayLike | None
+    condense: bool
 
 
 def from_second_order(
@@ -208,10 +222,8 @@ def from_second_order(
     if F is None and base is None:
         raise StructureError("there are neither forces F nor a base that moves; give one of them, or both")
     if modes is not None or band is not None:
-        return _of_few_modes(
-            M, K, (F, base), (C, G), sensors, condense, rtol, named_=names, modes=modes, band=band,
-            residual_modes=residual_modes, eigensolver=eigensolver,
-        )  # fmt: skip
+        given = _GivenStructure(M, K, F, C, G, sensors, base, condense)
+        return _of_few_modes(given, ModeChoice(modes, band, residual_modes, eigensolver), rtol, names)
     if eigensolver is not None:
         raise StructureError("an eigensolver needs modes= or band=; give one of them")
     if any(sparse.issparse(matrix) for matrix in (M, K, C, G)):
@@ -238,7 +250,7 @@ def from_second_order(
     return system
 
 
-def _forces(F: Any, M: Any, directions: Array) -> Array:
+def _forces(F: ArrayLike | sparse.sparray | None, M: Array | sparse.csc_array, directions: Array) -> Array:
     """Check forces (n, m), and put those of a moving base beside them."""
     force = np.zeros((len(directions), 0)) if F is None else _checks.port_matrix(dense(F), len(directions), name="F")
     return np.hstack([force, base_forces(M, directions)]) if directions.size else force
@@ -251,27 +263,28 @@ def _carried(force: Array, directions: Array) -> tuple[Array, Array]:
 
 
 def _of_few_modes(
-    M: Any, K: Any, acting: tuple[Any, Any], of_velocity: tuple[Any, Any], sensors: Any, condense: bool,
-    rtol: float | None, *, named_: dict[str, Any], modes: Any, band: Any, **options: Any,
-) -> PortHamiltonian:  # fmt: skip
+    given: _GivenStructure, choice: ModeChoice, rtol: float | None, names: dict[str, Any]
+) -> PortHamiltonian:
     """System in modal coordinates: the modes wanted, then residual modes."""
-    if modes is not None and band is not None:
+    if choice.modes is not None and choice.band is not None:
         raise StructureError("modes and band are both given; give only one")
-    mass = sparse_matrix("M", M)
+    mass = sparse_matrix("M", given.M)
     n = mass.shape[0]
-    C, G = of_velocity
-    stiffness, damping = sparse_matrix("K", K, n), None if C is None else sparse_matrix("C", C, n)
-    gyroscopic = None if G is None else sparse_skew_matrix("G", G, n)
-    directions = base_directions(acting[1], n)
-    force = _forces(acting[0], mass, directions)
-    given = {kind: dense(rows) for kind, rows in sensors.items()} if isinstance(sensors, Mapping) else dense(sensors)
-    measured = measured_rows(given, n)
+    stiffness = sparse_matrix("K", given.K, n)
+    damping = None if given.C is None else sparse_matrix("C", given.C, n)
+    gyroscopic = None if given.G is None else sparse_skew_matrix("G", given.G, n)
+    directions = base_directions(given.base, n)
+    force = _forces(given.F, mass, directions)
+    sensors = given.sensors
+    measured = measured_rows(
+        {kind: dense(rows) for kind, rows in sensors.items()} if isinstance(sensors, Mapping) else dense(sensors), n
+    )
     if rtol is not None:
         _checks.relative_tolerance(rtol)
-    if options["eigensolver"] is not None and not callable(options["eigensolver"]):
-        raise StructureError(f"eigensolver is {_checks.shown(options['eigensolver'])}; it must be a function, or None")
-    refuse_massless(mass, (damping, gyroscopic), force, condense)
-    kept = structural_modes(mass, stiffness, force, modes=modes, band=band, rtol=rtol, **options)
+    if choice.eigensolver is not None and not callable(choice.eigensolver):
+        raise StructureError(f"eigensolver is {_checks.shown(choice.eigensolver)}; it must be a function, or None")
+    refuse_massless(mass, (damping, gyroscopic), force, given.condense)
+    kept = structural_modes(mass, stiffness, force, choice, rtol)
     basis = np.hstack([kept.shapes, kept.residual_shapes])
     squares = np.concatenate([kept.natural_frequencies, kept.residual_frequencies]) ** 2
     reduced = None if damping is None else projected_damping(damping, basis)
@@ -281,7 +294,7 @@ def _of_few_modes(
     number, unit = np.arange(len(squares)), np.eye(len(squares))
     built = Structure(unit, reduced, turning, np.diag(squares), basis.T @ force, basis, number)
     states = [f"{letter}_mode_{k + 1}" for letter in "qp" for k in number]
-    system = _system(built, unit, measured, states, named_, directions)
+    system = _system(built, unit, measured, states, names, directions)
     system.structural_modes = kept
     if directions.size:
         momenta, moving_mass = _carried(force, directions)
@@ -369,7 +382,7 @@ def _damping(C: ArrayLike | None, n: int) -> Array | None:
     return array
 
 
-def measured_rows(sensors: Any, n: int) -> dict[str, Array]:
+def measured_rows(sensors: Mapping[str, ArrayLike] | ArrayLike | None, n: int) -> dict[str, Array]:
     """Check rows of sensors by what they measure."""
     if sensors is None:
         return {}
@@ -379,8 +392,8 @@ def measured_rows(sensors: Any, n: int) -> dict[str, Array]:
         raise StructureError(
             f"the sensors measure {_checks.shown(unknown[0])}; known are {', '.join(map(repr, _KINDS))}"
         )
-    found = {kind: checked_rows(f"the sensors of {kind}", value, n) for kind, value in given.items()}
-    return {kind: rows for kind, rows in found.items() if len(rows)}
+    checked = {kind: checked_rows(f"the sensors of {kind}", value, n) for kind, value in given.items()}
+    return {kind: rows for kind, rows in checked.items() if len(rows)}
 
 
 def _sensor_matrices(
@@ -413,8 +426,8 @@ def _square(name: str, value: ArrayLike) -> Array:
 
 def _with_exact_kernel(M: Array, K: Array, rtol: float | None) -> Array:
     """Stiffness of which no mode that rounding leaves of a rigid one has any; a negative one is refused."""
-    found = _definite.definite_factor(K)
-    if rtol is None and found is not None and found[1] < 1 / FAINT:
+    factor = _definite.definite_factor(K)
+    if rtol is None and factor is not None and factor[1] < 1 / FAINT:
         return K
     n = len(K)
     few = [0, _FEW - 1] if rtol is None and n > 2 * _FEW else None

@@ -97,7 +97,7 @@ class SecondOrderSystem:
         sensed = sum(len(rows) for rows in self.sensors.values())
         return f"<SecondOrderSystem: {len(self.F)} degrees of freedom, {self.F.shape[1]} ports, {sensed} sensors>"
 
-    def __call__(self, s: ArrayLike) -> Any:
+    def __call__(self, s: ArrayLike) -> complex | ComplexArray:
         """Transfer function at complex points, by a sparse factorisation for each.
 
         Parameters

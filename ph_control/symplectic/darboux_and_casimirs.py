@@ -233,17 +233,17 @@ def _planes(J: Array) -> _Planes:
     """Normal form of `J`, group by group of variables that it couples, in the order of the variables."""
     count, label = components(J != 0)
     unit, none = np.eye(len(J)), np.zeros((len(J), 0))
-    found = [(np.zeros(0), none, none, none, np.zeros(0))]
+    forms = [(np.zeros(0), none, none, none, np.zeros(0))]
     for k in range(count):
         group = np.flatnonzero(label == k)
-        values, left, right = skew_normal_form(J[np.ix_(group, group)])
-        a, b = unit[:, group] @ left, unit[:, group] @ right
+        values, left_vectors, right_vectors = skew_normal_form(J[np.ix_(group, group)])
+        a, b = unit[:, group] @ left_vectors, unit[:, group] @ right_vectors
         zero = int(np.sum(values <= 8 * len(group) * _checks.EPS * values.max(initial=0.0)))
         pairs = slice(zero, len(values))
         kernel = np.concatenate([a[:, :zero], b[:, :zero], a[:, len(values) :], b[:, len(values) :]], axis=1)
         sizes = np.append(values, np.zeros(len(group) - 2 * len(values)))
-        found.append((values[pairs], a[:, pairs], b[:, pairs], kernel, sizes))
-    return _Planes(*(np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True)))
+        forms.append((values[pairs], a[:, pairs], b[:, pairs], kernel, sizes))
+    return _Planes(*(np.concatenate(parts, axis=-1) for parts in zip(*forms, strict=True)))
 
 
 def _invertible(planes: _Planes) -> _Planes:

@@ -399,8 +399,8 @@ def port_spectrum(Q: Array, B: Array) -> tuple[Array, Array, float | None] | Non
         return *pairs, None
     if parts > 1:
         return None
-    found = bounded_spectrum(Q, B)
-    return None if found is None or found[0][0] * _SPREAD <= found[0][-1] else found
+    spectrum = bounded_spectrum(Q, B)
+    return None if spectrum is None or spectrum[0][0] * _SPREAD <= spectrum[0][-1] else spectrum
 
 
 def normal_form_rows(Q: Array) -> tuple[Array, Array, Array]:
@@ -471,8 +471,8 @@ def _complete(d: Array, S: Pair, still: Pair) -> Array:
     weight = np.concatenate([d, 0 * size, cyclic, d, size**2, cyclic])
     (full, _), _ = back_to_symplectic(weight, rows, modal=False)
     _checks.representable("the rows of the normal form of this Q", full)
-    one = np.ones_like(d)
-    return full * np.concatenate([one, 1 / size, 1 + cyclic, one, size, 1 + cyclic])[:, None] / unit
+    ones = np.ones_like(d)
+    return full * np.concatenate([ones, 1 / size, 1 + cyclic, ones, size, 1 + cyclic])[:, None] / unit
 
 
 def _balancing_units(*rows: Array) -> Array:

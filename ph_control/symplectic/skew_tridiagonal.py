@@ -53,9 +53,9 @@ def reduce_block(Q: Array) -> tuple[Array, Pair, Pair]:
     if factors and len(Q) == 2:
         d, S = _single_plane(*factors)
         return d, exactly(S / unit), exactly(none)
-    found = _definite_rows(factors) if factors else None
-    if found is not None:
-        return found[0], exactly(found[1] / unit), exactly(none)
+    definite = _definite_rows(factors) if factors else None
+    if definite is not None:
+        return definite[0], exactly(definite[1] / unit), exactly(none)
     d, rows, still = _semidefinite_rows(Q)
     return d, (rows[0] / unit, rows[1] / unit), (still[0] / unit, still[1] / unit)
 
@@ -70,8 +70,8 @@ def bounded_spectrum(Q: Array, b: Array) -> tuple[Array, Array, float] | None:
     b, n = b / unit, len(Q) // 2
     if len(factors) == 2:
         Fq, Fp = factors
-        d, right, left = components(_transposed_times(Fq, Fp), Fp.T @ b[n:], Fq.T @ b[:n])
-        return d[::-1].copy(), (left**2 + right**2)[::-1], inverse
+        d, of_momenta, of_positions = components(_transposed_times(Fq, Fp), Fp.T @ b[n:], Fq.T @ b[:n])
+        return d[::-1].copy(), (of_positions**2 + of_momenta**2)[::-1], inverse
     if not factors:
         return None
     (F,) = factors
@@ -127,9 +127,9 @@ def _factors_and_inverse(Q: Array) -> tuple[list[Array], float]:
     The list is empty if `Q` may be semidefinite.  With it a bound for the norm of the inverse of `Q` scaled to unit
     diagonal.
     """
-    found = [_definite.definite_factor(part) for part in _definite.uncoupled_halves(Q)]
-    known = [one for one in found if one is not None]
-    return ([F for F, _ in known], max(inverse for _, inverse in known)) if len(known) == len(found) else ([], np.inf)
+    factors = [_definite.definite_factor(part) for part in _definite.uncoupled_halves(Q)]
+    known = [factor for factor in factors if factor is not None]
+    return ([F for F, _ in known], max(inverse for _, inverse in known)) if len(known) == len(factors) else ([], np.inf)
 
 
 def _in_common_units(Q: Array) -> tuple[Array, Array]:
@@ -176,10 +176,10 @@ def _coupled_rows(slices: Slices, F: Array) -> tuple[Array, Array] | None:
         K[:n] += part
         K[:, :n] -= part.T
     sigma, planes = _planes(K)
-    found = _rows(slices, sigma, (F, planes))
-    if found is None:
+    attempt = _rows(slices, sigma, (F, planes))
+    if attempt is None:
         return None
-    (rows,), length, _ = found
+    (rows,), length, _ = attempt
     S, excess = back_to_symplectic(np.concatenate([sigma, sigma]), rows, max(2, slices))
     return sigma + sigma * _quotient(excess, length), S[0]
 
@@ -190,10 +190,10 @@ def _separate_rows(slices: Slices, Fq: Array, Fp: Array) -> tuple[Array, Array] 
     parts = product_parts(exactly(Fq.T), exactly(Fp), slices, lambda a, b: _transposed_times(a.T, b))
     U, sigma, Vt = np.linalg.svd(sum(parts[1:], parts[0]))
     sigma = sigma[::-1].copy()
-    found = _rows(slices, sigma, (Fq, U[:, ::-1]), (Fp, Vt[::-1].T))
-    if found is None:
+    attempt = _rows(slices, sigma, (Fq, U[:, ::-1]), (Fp, Vt[::-1].T))
+    if attempt is None:
         return None
-    rows, length, tight = found
+    rows, length, tight = attempt
     X, Y, excess = _back_to_inverses(sigma, rows[0], rows[1], 1 if tight else max(2, slices))
     S = np.zeros((2 * n, 2 * n))
     S[:n, :n], S[n:, n:] = X, Y
@@ -406,7 +406,7 @@ def _reflected(K: Array, *, overwrite: bool = False) -> tuple[Callable[[], Array
 def _semidefinite_rows(Q: Array) -> tuple[Array, Pair, Pair]:
     """`reduce_block` of a block that may have a kernel, whose modes of frequency zero are told from rounding."""
     F, smallest = _factor(Q)
-    sigma, left, right = skew_normal_form(poisson(exactly(F.T)))
+    sigma, left_vectors, right_vectors = skew_normal_form(poisson(exactly(F.T)))
     pairs, size = len(sigma), len(F)
     # A singular value at rounding level belongs to free momenta.  That level: rounding the scaled Q by eps moves F by
     # eps / sqrt(its smallest eigenvalue), in units in which the largest plane (q_i, p_i) sets the size of F^T J F.
@@ -415,8 +415,10 @@ def _semidefinite_rows(Q: Array) -> tuple[Array, Pair, Pair]:
     plane = np.max(amplitude[: size // 2] * amplitude[size // 2 :], initial=0.0)
     noise = 8 * _checks.EPS * max(plane / np.sqrt(smallest), size * max(plane, sigma.max(initial=0.0)))
     zero = min(int(np.sum(sigma <= noise)), (size - F.shape[1]) // 2)
-    planes = np.concatenate([left[:, zero:pairs], right[:, zero:pairs]], axis=1)
-    still = np.concatenate([left[:, :zero], right[:, :zero], left[:, pairs:], right[:, pairs:]], axis=1)
+    planes = np.concatenate([left_vectors[:, zero:pairs], right_vectors[:, zero:pairs]], axis=1)
+    still = np.concatenate(
+        [left_vectors[:, :zero], right_vectors[:, :zero], left_vectors[:, pairs:], right_vectors[:, pairs:]], axis=1
+    )
     d = sigma[zero:]
     root = np.sqrt(np.concatenate([d, d]))[:, None]
     rows = product(exactly(planes.T), exactly(F.T))

@@ -144,7 +144,7 @@ class AffineHamiltonian(LosslessSystem):
             "pass sys.derivative(), which has the same states, if the time derivative of the output is meant"
         )
 
-    def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
+    def horner(self, x: ArrayLike, warn_infinite: bool = True) -> ComplexArray:
         """Transfer function at complex points, shape (m, m, N); `inf` at a pole, 0 at infinity, never NaN.
 
         Values beyond the range of doubles, next to a double pole at 0, are `inf` too.
@@ -175,7 +175,9 @@ class AffineHamiltonian(LosslessSystem):
         return self._repr_of(self.Q, self._interaction)
 
 
-def affine(Q: Any, B: ArrayLike | None = None, **names: Any) -> AffineHamiltonian:
+def affine(
+    Q: ArrayLike | ct.StateSpace | ct.TransferFunction, B: ArrayLike | None = None, **names: Any
+) -> AffineHamiltonian:
     """Make an affine Hamiltonian system, from its matrices or from a system with an even transfer function.
 
     Parameters
@@ -229,7 +231,7 @@ def affine(Q: Any, B: ArrayLike | None = None, **names: Any) -> AffineHamiltonia
     return AffineHamiltonian(velocity.Q, apply_form(velocity.B), **inherited_names(Q, names, "inputs", "outputs"))
 
 
-def _derivative(sys: Any) -> Any:
+def _derivative(sys: ct.StateSpace | ct.TransferFunction) -> ct.StateSpace | ct.TransferFunction:
     """`s G(s)` of a one-port, in the class of `G`."""
     _continuous(sys, "give Q and B, or a continuous-time StateSpace or TransferFunction")
     if not sys.issiso():
@@ -273,7 +275,7 @@ class Symmetry:
         return self.holds
 
 
-def is_odd(sys: Any, *, rtol: float | None = None) -> Symmetry:
+def is_odd(sys: ct.StateSpace | ct.TransferFunction, *, rtol: float | None = None) -> Symmetry:
     """Tell whether `G(-s) = -G(s)`, as for every port-Hamiltonian system.
 
     Parameters
@@ -307,7 +309,7 @@ def is_odd(sys: Any, *, rtol: float | None = None) -> Symmetry:
     return _symmetry(sys, +1.0, rtol)
 
 
-def is_even(sys: Any, *, rtol: float | None = None) -> Symmetry:
+def is_even(sys: ct.StateSpace | ct.TransferFunction, *, rtol: float | None = None) -> Symmetry:
     """Tell whether `G(-s) = G(s)`, as for every affine Hamiltonian system.
 
     Parameters
@@ -340,7 +342,7 @@ def is_even(sys: Any, *, rtol: float | None = None) -> Symmetry:
     return _symmetry(sys, -1.0, rtol)
 
 
-def _symmetry(sys: Any, sign: float, rtol: float | None) -> Symmetry:
+def _symmetry(sys: ct.StateSpace | ct.TransferFunction, sign: float, rtol: float | None) -> Symmetry:
     _continuous(sys, "give a continuous-time StateSpace or TransferFunction")
     tolerance = None if rtol is None else _checks.relative_tolerance(rtol)
     with np.errstate(all="ignore"):
@@ -361,7 +363,7 @@ def _symmetry(sys: Any, sign: float, rtol: float | None) -> Symmetry:
     return Symmetry(residual <= allowed, residual, allowed)
 
 
-def _continuous(sys: Any, remedy: str) -> None:
+def _continuous(sys: ct.StateSpace | ct.TransferFunction, remedy: str) -> None:
     if not isinstance(sys, ct.StateSpace | ct.TransferFunction) or not sys.isctime():
         raise StructureError(f"this is a {type(sys).__name__}; {remedy}")
 
@@ -381,7 +383,7 @@ def _poles_and_values(
         resolvent, size = Resolvent.of(A, B, C), float(np.linalg.norm(A))
 
         def from_matrices(s: ComplexArray) -> tuple[ComplexArray, float]:
-            values, error = resolvent.at(s)
+            values, error = resolvent.evaluate(s)
             error = 32 * error * (np.abs(s) / (size or 1.0) + 1)
             return np.moveaxis(values + D, 0, 2), _largest_ratio(error, np.abs(values).max(axis=(1, 2), initial=0.0))
 

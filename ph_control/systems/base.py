@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, overload
 
 import control as ct
 import numpy as np
@@ -11,9 +11,17 @@ from control.iosys import InputOutputSystem
 
 from .. import _checks
 from .._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal, modes_table
-from .._types import Array, ComplexArray, NDArray
+from .._types import Array, ArrayLike, ComplexArray, NDArray
 from ..exceptions import NotLosslessError, StructureError, printable
 from ..modal.modal_form import ModalForm, imaginary
+from ..numerics.rational import LinearSystem
+
+if TYPE_CHECKING:
+    from .port_hamiltonian import PortHamiltonian
+
+Convertible: TypeAlias = LinearSystem | ModalForm  # what `ph` makes a port-Hamiltonian system of
+Value = TypeVar("Value")
+System = TypeVar("System", bound="LosslessSystem")
 
 _ASIDE = 32 * _checks.EPS  # of a value on the imaginary axis: what is left beside it once a phase is rounded
 _RIGHT = 1e-9  # of a frequency: how far to the right of the axis values show which way
@@ -21,17 +29,21 @@ LETTERS = {"states": "x", "outputs": "y", "inputs": "u"}  # of the names that py
 _LOOKED_AT = 100  # degrees of freedom of a system whose matrices and modes are computed in order to show them
 
 
-class View:
+class View(Generic[Value]):
     """A matrix computed on first access, kept, and locked against rebinding and writing."""
 
-    def __init__(self, compute: Callable[[Any], Any]) -> None:
+    def __init__(self, compute: Callable[[Any], Value]) -> None:
         self.compute = compute
         self.__doc__ = compute.__doc__
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
 
-    def __get__(self, system: Any, owner: type | None = None) -> Any:
+    @overload
+    def __get__(self, system: None, owner: type | None = None) -> View[Value]: ...
+    @overload
+    def __get__(self, system: LosslessSystem, owner: type | None = None) -> Value: ...
+    def __get__(self, system: LosslessSystem | None, owner: type | None = None) -> View[Value] | Value:
         if system is None:
             return self
         if self.name not in system._views:
@@ -39,7 +51,7 @@ class View:
             system._views[self.name] = _checks.readonly(value) if isinstance(value, np.ndarray) else value
         return system._views[self.name]
 
-    def __set__(self, system: Any, value: Any) -> None:
+    def __set__(self, system: LosslessSystem, value: Value) -> None:
         raise AttributeError(
             f"{self.name} of a {type(system).__name__} cannot be changed: the system would no longer be lossless; "
             f"make a new one with {system._factory}, or a free StateSpace with control.ss(sys)"
@@ -95,11 +107,11 @@ class LosslessSystem(ct.StateSpace):
     def state_index(self, index: dict[str, int]) -> None:
         self._state_index = index
 
-    def updfcn(self, t: float, x: Any, u: Any, params: Any) -> Array:
+    def updfcn(self, t: float, x: ArrayLike, u: ArrayLike, params: dict[str, Any]) -> Array:
         """Derivative of the state, as python-control asks for it."""
         return np.asarray(self.A @ np.atleast_1d(x) + self.B @ np.atleast_1d(u))
 
-    def outfcn(self, t: float, x: Any, u: Any, params: Any) -> Array:
+    def outfcn(self, t: float, x: ArrayLike, u: ArrayLike, params: dict[str, Any]) -> Array:
         """Output, as python-control asks for it."""
         return np.asarray(self.C @ np.atleast_1d(x) + self.D @ np.atleast_1d(u))
 
@@ -138,11 +150,11 @@ class LosslessSystem(ct.StateSpace):
         """Number of degrees of freedom; there are 2n states."""
         return int(self.nstates) // 2
 
-    def _converted(self, **names: Any) -> Any:
+    def _converted(self, **names: Any) -> PortHamiltonian:
         """Return the port-Hamiltonian system that `ph` makes of this one."""
         raise NotImplementedError
 
-    def _full_port_hamiltonian(self) -> Any:
+    def _full_port_hamiltonian(self) -> PortHamiltonian:
         """Return a port-Hamiltonian system of the same size with the same transfer function."""
         raise NotImplementedError
 
@@ -150,14 +162,16 @@ class LosslessSystem(ct.StateSpace):
         """Return what the system has that lossless ones in the coordinates (q, p) have not."""
         return []
 
-    def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
+    def horner(self, x: ArrayLike, warn_infinite: bool = True) -> ComplexArray:
         """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN.
 
         Runs on modal coordinates: O(n) a point, accurate arbitrarily close to a pole.
         """
         return self.modes.evaluate(x)
 
-    def frequency_response(self, omega: Any = None, squeeze: bool | None = None) -> ct.FrequencyResponseData:
+    def frequency_response(
+        self, omega: ArrayLike | None = None, squeeze: bool | None = None
+    ) -> ct.FrequencyResponseData:
         """Frequency response as data, a rounding to the right of the imaginary axis.
 
         There the phase of a lossless response jumps by a little less than half a turn, which would leave open which way
@@ -261,19 +275,19 @@ class LosslessSystem(ct.StateSpace):
         return text + (f",\n{labels})" if labels else ")")
 
 
-def restored(kind: type[Any], *parts: Any) -> Any:
+def restored(kind: type[System], *parts: Any) -> System:
     """System of parts that have been checked; the constructor of a subclass may take other arguments."""
     self = object.__new__(kind)
     self._fill(*parts)
     return self
 
 
-def in_normal_form(sys: Any) -> bool:
+def in_normal_form(sys: object) -> bool:
     """Whether a system is one of the lossless classes, with frequencies `d` and weights `r`."""
     return isinstance(sys, LosslessSystem) and sys._in_normal_form
 
 
-def refuse_losses(sys: Any, what: str) -> None:
+def refuse_losses(sys: object, what: str) -> None:
     """Refuse a system with losses where only lossless ones are defined."""
     if isinstance(sys, LosslessSystem) and not sys._in_normal_form:
         more = sys._beyond_lossless()
@@ -284,7 +298,7 @@ def refuse_losses(sys: Any, what: str) -> None:
         )
 
 
-def inherited_names(source: Any, names: dict[str, Any], *kinds: str) -> dict[str, Any]:
+def inherited_names(source: object, names: dict[str, Any], *kinds: str) -> dict[str, Any]:
     """Names given, completed by those of a system; python-control takes `input` for `inputs` and so on."""
     if not isinstance(source, ct.InputOutputSystem):
         return names

@@ -7,7 +7,7 @@ They compute on modal coordinates; the coefficients are for looking at and for h
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from ..numerics.polynomials import digits
 from ..symplectic.forms_and_williamson import symplectic_inverse
 from .base import LosslessSystem, View, inherited_names, refuse_losses, restored
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
+
+Form = TypeVar("Form", bound="_CanonicalForm")
 
 _ENOUGH = 6.0  # decimal digits of the frequencies that a companion matrix should carry
 
@@ -331,7 +333,7 @@ def oh(d: Any, v: ArrayLike | None = None, **names: Any) -> ObservableHamiltonia
     return _make(ObservableHamiltonian, d, v, names)
 
 
-def _make(kind: type[Any], d: Any, v: ArrayLike | None, names: dict[str, Any]) -> Any:
+def _make(kind: type[Form], d: Any, v: ArrayLike | None, names: dict[str, Any]) -> Form:
     if v is not None:
         return kind(d, v, **names)
     source, names = d, inherited_names(d, names, "inputs", "outputs")

@@ -93,8 +93,8 @@ class DissipativePortHamiltonian(PortHamiltonian):
 
     def __init__(
         self, Q: ArrayLike, B: ArrayLike, *, R: ArrayLike | None = None, P: ArrayLike | None = None,
-        S: ArrayLike | None = None, N: ArrayLike | None = None, J: ArrayLike | None = None, sensors: Any = None,
-        **names: Any,
+        S: ArrayLike | None = None, N: ArrayLike | None = None, J: ArrayLike | None = None,
+        sensors: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None, **names: Any,
     ) -> None:  # fmt: skip
         Q = _checks.symmetric_matrix(Q, even=J is None)
         n = len(Q)
@@ -210,17 +210,19 @@ class DissipativePortHamiltonian(PortHamiltonian):
 
     def _beyond_lossless(self) -> list[str]:
         matrices = {"R": "losses R", "P": "losses P", "S": "feedthrough S", "N": "feedthrough N"}
-        found = [text for name, text in matrices.items() if self._parts[name].any()]
+        terms = [text for name, text in matrices.items() if self._parts[name].any()]
         sensors = len(self._parts["sensor_rows"])
         if not is_canonical(self.J):
-            found.append("a structure matrix J of its own")
-        return found + ([f"{sensors} sensor{'s' * (sensors > 1)}"] if sensors else []) or ["room for losses"]
+            terms.append("a structure matrix J of its own")
+        return terms + ([f"{sensors} sensor{'s' * (sensors > 1)}"] if sensors else []) or ["room for losses"]
 
     @property
     def _spectrum(self) -> ModalForm:
         return self.modes
 
-    def frequency_response(self, omega: Any = None, squeeze: bool | None = None) -> ct.FrequencyResponseData:
+    def frequency_response(
+        self, omega: ArrayLike | None = None, squeeze: bool | None = None
+    ) -> ct.FrequencyResponseData:
         """Frequency response as data, from the modes."""
         return ct.StateSpace.frequency_response(self, omega, squeeze)
 
@@ -260,7 +262,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
 
     def __reduce__(self) -> tuple[Any, ...]:
         known = dict(self._parts), self._names(), self.time_unit, self.conversion
-        return restored, known, self._told()
+        return restored, known, self._attached()
 
     def _shown(self) -> list[str]:
         """Names of the parts beside Q and B that are not what they are by default."""
@@ -444,7 +446,7 @@ def refuse_negative(name: str, matrix: Array, blocks: dict[str, slice]) -> None:
     if k[0] >= -_ROUNDING * len(matrix) * EPS * np.abs(matrix / scale[:, None] / scale).max():
         return
     shares = {block: float(np.sum(U[rows, 0] ** 2)) for block, rows in blocks.items()}
-    block = max(shares, key=lambda one: shares[one])
+    block = max(shares, key=lambda label: shares[label])
     where = f", with {100 * shares[block]:.0f} % of its eigenvector in the rows of {block}" if len(blocks) > 1 else ""
     raise StructureError(
         f"{name} has a negative eigenvalue: {k[0]:.3g} after scaling to unit diagonal{where}; it must be positive "

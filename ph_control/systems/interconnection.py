@@ -93,8 +93,8 @@ def interconnect(systems: Sequence[PortHamiltonian], F: ArrayLike, **names: Any)
     """
     if isinstance(systems, PortHamiltonian) or not isinstance(systems, Sequence):
         raise StructureError(f"the systems are a {type(systems).__name__}; pass a list of PortHamiltonian systems")
-    members = [_member(one) for one in systems]
-    ports = sum(one.ninputs for one in members)
+    members = [_member(system) for system in systems]
+    ports = sum(member.ninputs for member in members)
     matrix = _checks.real_array("F", F)
     if matrix.shape != (ports, ports):
         raise StructureError(f"F has shape {matrix.shape}; it must be {(ports, ports)}, for all ports of the systems")
@@ -258,8 +258,8 @@ def couple(first: PortHamiltonian, second: PortHamiltonian, *, ports: Ports = (0
     Two chains of one mass each, joined to one of three springs and a mass of 2 kg:
 
     >>> import ph_control as phc
-    >>> left, right = (phc.spring_chain([1.0], ground=k) for k in (3.0, 5.0))
-    >>> joined = phc.couple(left, right)
+    >>> first, second = (phc.spring_chain([1.0], ground=k) for k in (3.0, 5.0))
+    >>> joined = phc.couple(first, second)
     >>> joined.d, joined.Q.diagonal()
     (array([2.]), array([8. , 0.5]))
     """
@@ -371,11 +371,11 @@ def _constrained(whole: _Whole, c: Array, kept: Array) -> _Whole:
     share = np.abs(E) * np.sqrt(np.maximum(np.diag(Q), 0.0))
     gone = int(np.flatnonzero(share >= (1 - 1e-9) * share.max())[-1])
     rest = np.delete(np.arange(len(E)), gone)
-    left = np.eye(len(E))[rest]
-    left[:, gone] = -E[rest] / E[gone]
+    rows = np.eye(len(E))[rest]
+    rows[:, gone] = -E[rest] / E[gone]
     columns = np.eye(len(E))[:, rest] - np.outer(E, normal[rest]) / mobility
     at_sensors = part["sensor_feedthrough"] @ c
-    new = _in_coordinates(part, left, columns)
+    new = _in_coordinates(part, rows, columns)
     new["sensor_rows"] = (part["sensor_rows"] + np.outer(at_sensors, force[0])) @ columns
     new["sensor_feedthrough"] = (part["sensor_feedthrough"] + np.outer(at_sensors, force[1])) @ kept
     new |= {"G": new["G"] @ kept, "P": new["P"] @ kept, "S": kept.T @ part["S"] @ kept, "N": kept.T @ part["N"] @ kept}
@@ -397,15 +397,15 @@ def _constrained(whole: _Whole, c: Array, kept: Array) -> _Whole:
     return whole._replace(parts={**new, **final}, states=_without(whole.states, partner))
 
 
-def _in_coordinates(part: dict[str, Array], left: Array, columns: Array) -> dict[str, Array]:
-    """Matrices of states `x = columns z`, `left columns = I`."""
-    Q, J, R = columns.T @ part["Q"] @ columns, left @ part["J"] @ left.T, left @ part["R"] @ left.T
+def _in_coordinates(part: dict[str, Array], rows: Array, columns: Array) -> dict[str, Array]:
+    """Matrices of states `x = columns z`, `rows columns = I`."""
+    Q, J, R = columns.T @ part["Q"] @ columns, rows @ part["J"] @ rows.T, rows @ part["R"] @ rows.T
     return {
-        "Q": 0.5 * (Q + Q.T), "J": 0.5 * (J - J.T), "R": 0.5 * (R + R.T), "G": left @ part["G"], "P": left @ part["P"],
+        "Q": 0.5 * (Q + Q.T), "J": 0.5 * (J - J.T), "R": 0.5 * (R + R.T), "G": rows @ part["G"], "P": rows @ part["P"],
     }  # fmt: skip
 
 
-def _acts(matrix: Array, k: Any) -> bool:
+def _acts(matrix: Array, k: Array) -> bool:
     """Whether `k^T matrix` is other than the rounding of 0."""
     return bool(np.any(np.abs(k @ matrix) > _ROUNDING * len(k) * EPS * (np.abs(k) @ np.abs(matrix))))
 
@@ -415,17 +415,17 @@ def _acts(matrix: Array, k: Any) -> bool:
 
 def _side_by_side(members: Sequence[PortHamiltonian | Array], canonical: bool = False) -> _Whole:
     """Systems and constant gains as one; `canonical` sorts positions before momenta where all have canonical ones."""
-    systems = [one for one in members if isinstance(one, PortHamiltonian)]
-    each = [parts_of(one) if isinstance(one, PortHamiltonian) else _constant(one) for one in members]
+    systems = [member for member in members if isinstance(member, PortHamiltonian)]
+    each = [parts_of(member) if isinstance(member, PortHamiltonian) else _constant(member) for member in members]
     parts = {}
     for name in PARTS:
         shape = tuple(sum(part[name].shape[k] for part in each) for k in (0, 1))
         # of blocks without rows or columns scipy makes what it can
         parts[name] = block_diag(*(part[name] for part in each)).reshape(-1)[: shape[0] * shape[1]].reshape(shape)
     counts = [part["G"].shape for part in each]
-    signals = {kind: [_labels_of(one, kind, k) for k, one in enumerate(members)] for kind in LETTERS}
+    signals = {kind: [_labels_of(member, kind, k) for k, member in enumerate(members)] for kind in LETTERS}
     inputs, states = (list(chain.from_iterable(signals[kind])) for kind in ("inputs", "states"))
-    split = [(found[:m], found[m:]) for found, (_, m) in zip(signals["outputs"], counts, strict=True)]
+    split = [(labels[:m], labels[m:]) for labels, (_, m) in zip(signals["outputs"], counts, strict=True)]
     outputs = list(chain(*(ports for ports, _ in split), *(sensors for _, sensors in split)))
     whole = _Whole(parts, inputs, outputs, states, _owners(members), common_unit(systems))
     if canonical and all(is_canonical(part["J"]) for part in each):
@@ -451,7 +451,9 @@ def _constant(K: Array) -> dict[str, Array]:
     return _structure(square, none, none.T, K) | {"Q": square, "sensor_rows": square, "sensor_feedthrough": none}
 
 
-def _looped(whole: _Whole, F: Array, inputs: Array, *, kept: int | None = None, names: Any = None) -> PortHamiltonian:
+def _looped(
+    whole: _Whole, F: Array, inputs: Array, *, kept: int | None = None, names: dict[str, Any] | None = None
+) -> PortHamiltonian:
     """Systems with `u = F y + E w`, `y_w = E^T y`; the names of the ports are those of the first `kept`."""
     part = whole.parts
     into, out, M = part["G"] - part["P"], (part["G"] + part["P"]).T, part["S"] + part["N"]
@@ -503,22 +505,23 @@ def _made(whole: _Whole, names: dict[str, Any]) -> PortHamiltonian:
 # --- names ---------------------------------------------------------------------------------------------------------
 
 
-def _labels_of(one: PortHamiltonian | Array, kind: str, owner: int) -> list[_Label]:
+def _labels_of(member: PortHamiltonian | Array, kind: str, owner: int) -> list[_Label]:
     """Labels of the signals of a system, None for all where they are those that python-control gives."""
-    if not isinstance(one, PortHamiltonian):
-        return [_Label(owner, None)] * (0 if kind == "states" else len(one))
-    labels: Sequence[str | None] = one._given_labels(kind) or [None] * getattr(one, f"n{kind}")
+    if not isinstance(member, PortHamiltonian):
+        return [_Label(owner, None)] * (0 if kind == "states" else len(member))
+    labels: Sequence[str | None] = member._given_labels(kind) or [None] * getattr(member, f"n{kind}")
     return [_Label(owner, label) for label in labels]
 
 
-def _has_names(one: PortHamiltonian) -> bool:
-    return any(label.text for kind in LETTERS for label in _labels_of(one, kind, 0))
+def _has_names(system: PortHamiltonian) -> bool:
+    return any(label.text for kind in LETTERS for label in _labels_of(system, kind, 0))
 
 
-def _owners(members: Sequence[Any]) -> list[str]:
+def _owners(members: Sequence[PortHamiltonian | Array]) -> list[str]:
     """Names of the systems, or numbers where they have none of their own."""
     known = [
-        one.name if isinstance(one, PortHamiltonian) and not one._generic_name_check() else None for one in members
+        member.name if isinstance(member, PortHamiltonian) and not member._generic_name_check() else None
+        for member in members
     ]
     return [name if name and known.count(name) == 1 else f"sys{k}" for k, name in enumerate(known, 1)]
 
@@ -528,15 +531,15 @@ def _texts(labels: list[_Label], kind: str, owners: list[str]) -> list[str] | No
     texts = [label.text for label in labels]
     if not any(texts):
         return None
-    found: list[str] = []
+    names: list[str] = []
     for place, (owner, text) in enumerate(labels):
         name = f"{LETTERS[kind]}[{place}]" if text is None else text
         if text is not None and texts.count(text) > 1:
             name = f"{owners[owner]}_{text}"
-        while name in found:
+        while name in names:
             name += "_"
-        found.append(name)
-    return found
+        names.append(name)
+    return names
 
 
 def _without(labels: list[_Label], place: int) -> list[_Label]:
@@ -546,10 +549,10 @@ def _without(labels: list[_Label], place: int) -> list[_Label]:
 # --- checks --------------------------------------------------------------------------------------------------------
 
 
-def _member(one: Any) -> PortHamiltonian:
-    if not isinstance(one, PortHamiltonian):
-        raise StructureError(f"this is a {type(one).__name__}; pass PortHamiltonian systems, made by ph")
-    return one
+def _member(system: object) -> PortHamiltonian:
+    if not isinstance(system, PortHamiltonian):
+        raise StructureError(f"this is a {type(system).__name__}; pass PortHamiltonian systems, made by ph")
+    return system
 
 
 def _partner(first: PortHamiltonian, other: Any, spread: Array) -> PortHamiltonian | Array | None:
@@ -575,10 +578,10 @@ def _gain(value: Any, m: int, spread: Array) -> Array | None:
     return K if np.linalg.eigvalsh(K + K.T).min(initial=0.0) >= 0 else None
 
 
-def _pairs(members: Sequence[PortHamiltonian], ports: Any, ratio: ArrayLike) -> tuple[list[tuple[int, int]], Array]:
+def _pairs(members: Sequence[PortHamiltonian], ports: Ports, ratio: ArrayLike) -> tuple[list[tuple[int, int]], Array]:
     """Numbers of the ports of each pair, and its ratio."""
-    one = isinstance(ports, tuple) and len(ports) == 2 and not any(isinstance(port, tuple | list) for port in ports)
-    listed = [ports] if one else ports
+    is_pair = isinstance(ports, tuple) and len(ports) == 2 and not any(isinstance(port, tuple | list) for port in ports)
+    listed = [ports] if is_pair else ports
     if not isinstance(listed, list | tuple) or not listed:
         raise StructureError(f"ports is {_checks.shown(ports)}; give a pair (i, j), or a list of pairs")
     pairs = []

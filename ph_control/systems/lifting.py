@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
 
 import numpy as np
 
@@ -12,13 +11,13 @@ from .._types import Array, ArrayLike, Indices
 from ..exceptions import StructureError
 from ..modal.error_bounds import Energy
 from ..symplectic.forms_and_williamson import direct_sum
-from .base import refuse_losses
+from .base import Convertible, refuse_losses
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
 
 _LARGEST = 100_000  # degrees of freedom of a lifted system, whose matrices have 4 m^2 entries
 
 
-def lift(sys: Any, m: int, *, padding: ArrayLike | str | None = None) -> PortHamiltonian:
+def lift(sys: Convertible, m: int, *, padding: ArrayLike | str | None = None) -> PortHamiltonian:
     """System of m degrees of freedom with the same filter.
 
     Theorem "(i) for any m >= n ..." of the paper's section on restrictions of higher dimensional systems:
@@ -99,7 +98,7 @@ def _lifted_energy(energy: Energy, added: Array, old: Indices, new: Indices) -> 
     return frequencies[order], rows[order], rigid
 
 
-def lifted_size(m: Any, n: int) -> int:
+def lifted_size(m: int, n: int) -> int:
     """Check the degrees of freedom of a lifted system: a whole number of at least n, and not beyond all memory."""
     if not isinstance(m, int | np.integer) or isinstance(m, bool) or not n <= m <= max(n, _LARGEST):
         raise StructureError(

@@ -15,7 +15,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import control as ct
 import numpy as np
@@ -25,7 +25,7 @@ from slycot.exceptions import SlycotError, SlycotResultWarning
 
 from .. import _checks
 from .._checks import EPS
-from .._types import Array, ComplexArray
+from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import ConditioningWarning, NotLosslessError, NotPassiveError, StructureError
 from ..modal.general_form import GeneralModalForm
 from ..modal.modal_form import Cluster
@@ -33,6 +33,7 @@ from ..modal.positive_real import Matrices, Passivity, Split, is_positive, split
 from ..modal.storage import KnownDirections, dissipation, semidefinite, storage_coordinates
 from ..numerics.invariant_subspaces import EliminationResolvent, SchurResolvent, equilibrated
 
+PortPairs = Sequence[tuple[int | str, int | str]]  # output and input of each port, by number or name
 Parts = dict[str, Array]
 
 _UNSEEN = 1e-13  # of the largest Hankel singular value: a state that ports do not reach or do not see
@@ -85,11 +86,11 @@ class PortRows:
         return self.B.shape[1]
 
 
-def in_port_order(sys: ct.StateSpace, pairs: Any) -> ct.StateSpace:
+def in_port_order(sys: ct.StateSpace, pairs: PortPairs) -> ct.StateSpace:
     """The system with the outputs of its ports first, each in the place of its input; the others follow as sensors."""
     p, m = sys.noutputs, sys.ninputs
-    found = _checks.port_pairs(pairs, sys.output_labels, sys.input_labels)
-    outputs, inputs = [one for one, _ in found], [other for _, other in found]
+    port_pairs = _checks.port_pairs(pairs, sys.output_labels, sys.input_labels)
+    outputs, inputs = [output for output, _ in port_pairs], [entry for _, entry in port_pairs]
     missing = sorted(set(range(m)) - set(inputs))
     if missing:
         raise StructureError(
@@ -216,12 +217,12 @@ def _refuse_active(split: Split, given: PortRows, refusal: NotLosslessError | No
     ports = Split([(w, K[:m]) for w, K in split.axis], (A, B, C[:m]), split.unstable)
     matrices = given.A, given.B, given.C[:m], D
     tested = None if len(split.unstable) else Passivity(*ports.rest, D, scattering=False, given=matrices)
-    found = violations(ports, tested, scattering=False)
-    if not found and tested is not None:
+    bands = violations(ports, tested, scattering=False)
+    if not bands and tested is not None:
         return tested.singular
     sentences = refusal.violations if refusal is not None and not len(A) and not D.any() else ()
     raise NotPassiveError(
-        [(band.low, band.high) for band in found], [band.excess for band in found], [band.worst for band in found],
+        [(band.low, band.high) for band in bands], [band.excess for band in bands], [band.worst for band in bands],
         [complex(p) for p in split.unstable], signs=_signs(ports, matrices), reasons=sentences,
     )  # fmt: skip
 
@@ -259,8 +260,8 @@ def stored_parts(system: PortRows, storage: str, singular: Array | None = None) 
     level = np.sqrt(size)
     B, C, D = B / level, C / level, D / size
     if n:
-        found = storage_coordinates(A, B, C[:m], D, storage, None if singular is None else singular / rate)
-        A, B, C = found.T @ A @ found.inverse, found.T @ B, C @ found.inverse
+        coordinates = storage_coordinates(A, B, C[:m], D, storage, None if singular is None else singular / rate)
+        A, B, C = coordinates.T @ A @ coordinates.inverse, coordinates.T @ B, C @ coordinates.inverse
     W = 0.5 * semidefinite(dissipation(A, B, C[:m], D), n)
     gain = level * root
     return {
@@ -289,8 +290,8 @@ def minimal_part(A: Array, B: Array, C: Array, m: int) -> tuple[Array, Array, Ar
     U, s, V = svd(seen @ reached)
     kept = s > _UNSEEN * max(s[0], np.finfo(float).tiny)
     root = np.sqrt(s[kept])
-    right, left = reached @ V[kept].T / root, (U[:, kept] / root).T @ seen
-    return rate * (left @ A @ right), unit * (left @ B), unit * (C @ right)
+    from_balanced, to_balanced = reached @ V[kept].T / root, (U[:, kept] / root).T @ seen
+    return rate * (to_balanced @ A @ from_balanced), unit * (to_balanced @ B), unit * (C @ from_balanced)
 
 
 def gramian_root(A: Array, C: Array) -> Array:
@@ -317,14 +318,15 @@ def lossless_parts(axis: Sequence[tuple[float, ComplexArray]], m: int) -> list[P
     return [_side_by_side(_axis_modes(axis, m), np.zeros((m, m)))] if axis else []
 
 
-def joined(found: Sequence[Parts], through: Array) -> Parts:
+def joined(members: Sequence[Parts], through: Array) -> Parts:
     """Parallel connection of parts, with the feedthrough of the sensors."""
-    parts = {name: block_diag(*(one[name] for one in found)) for name in ("Q", "J", "R")}
+    parts = {name: block_diag(*(member[name] for member in members)) for name in ("Q", "J", "R")}
     n = len(parts["Q"])
     parts = {name: matrix.reshape(n, n) for name, matrix in parts.items()}
-    parts |= {name: np.vstack([one[name] for one in found]) for name in ("G", "P")}
-    parts |= {name: np.sum([one[name] for one in found], axis=0) for name in ("S", "N")}
-    return parts | {"sensor_rows": np.hstack([one["sensor_rows"] for one in found]), "sensor_feedthrough": through}
+    parts |= {name: np.vstack([member[name] for member in members]) for name in ("G", "P")}
+    parts |= {name: np.sum([member[name] for member in members], axis=0) for name in ("S", "N")}
+    sensor_rows = np.hstack([member["sensor_rows"] for member in members])
+    return parts | {"sensor_rows": sensor_rows, "sensor_feedthrough": through}
 
 
 # --- held against what was given ----------------------------------------------------------------------------------
@@ -333,8 +335,8 @@ def joined(found: Sequence[Parts], through: Array) -> Parts:
 class _GivenResponse:
     """Response of the given system in its band, with what roundings of the given entries make of it."""
 
-    def __init__(self, given: PortRows, poles: Any) -> None:
-        self.given, self.points = given, 1j * _band(np.asarray(poles, complex))
+    def __init__(self, given: PortRows, poles: ArrayLike) -> None:
+        self.given, self.points = given, np.asarray(1j * _band(np.asarray(poles, complex)), complex)
         resolvent = _resolvent(given.A)
         A, B, C = given.A, given.B, given.C
         self.into, self.out = resolvent.columns(self.points, B), resolvent.rows(self.points, C)
@@ -376,7 +378,7 @@ class _GivenResponse:
         return off[clear].max(axis=0, initial=0.0), np.abs(self.values[clear]).max(axis=(0, 2), initial=0.0)
 
 
-def _resolvent(A: Array) -> Any:
+def _resolvent(A: Array) -> SchurResolvent | EliminationResolvent:
     return EliminationResolvent(A) if len(A) <= _FEW else SchurResolvent(A)
 
 
@@ -412,13 +414,13 @@ def physical_parts(given: PortRows) -> tuple[Parts, bool] | None:
         a, b, c = A[np.ix_(order, order)], B[order], C[:, order]
         if a[:k, :k].any() or b[:k].any() or c[:m, :k].any():
             continue
-        found = _energy(a[:k, k:], a[k:, :k], a[k:, k:], b[k:], c[:m, k:])
-        if found is not None:
+        energy = _energy(a[:k, k:], a[k:, :k], a[k:, k:], b[k:], c[:m, k:])
+        if energy is not None:
             back = np.argsort(order)
-            parts = _of_second_order(found.K, found.M, a[:k, k:], a[k:, k:], b[k:], D[:m])
+            parts = _of_second_order(energy.K, energy.M, a[:k, k:], a[k:, k:], b[k:], D[:m])
             square = {name: parts[name][np.ix_(back, back)] for name in ("Q", "J", "R")}
             through = eigh(D[:m] + D[:m].T, eigvals_only=True)
-            passive = found.missed <= _SURE * k * EPS and through[0] >= -_SURE * m * EPS * np.abs(through).max()
+            passive = energy.missed <= _SURE * k * EPS and through[0] >= -_SURE * m * EPS * np.abs(through).max()
             return parts | square | {
                 "G": parts["G"][back], "P": parts["P"][back], "sensor_rows": C[m:].copy(), "sensor_feedthrough": D[m:]
             }, bool(passive)  # fmt: skip
@@ -619,10 +621,10 @@ def _of_modes(A: Array, B: Array, C: Array) -> list[_PassiveMode] | None:
     none = np.zeros(0, complex)
     real: list[tuple[float, ComplexArray]] = []
     scale = float(np.abs(poles).max())
-    left = np.flatnonzero(poles.imag >= 0)
-    while len(left):
-        group = left[np.abs(poles[left] - poles[left[0]]) <= _SAME * scale]
-        left = np.setdiff1d(left, group)
+    remaining = np.flatnonzero(poles.imag >= 0)
+    while len(remaining):
+        group = remaining[np.abs(poles[remaining] - poles[remaining[0]]) <= _SAME * scale]
+        remaining = np.setdiff1d(remaining, group)
         p, residue = complex(poles[group].mean()), c[:, group] @ b[group]
         if p.imag > 0:
             K = residue * (p - p.conjugate()) / p
@@ -636,24 +638,24 @@ def _of_modes(A: Array, B: Array, C: Array) -> list[_PassiveMode] | None:
     return None if relaxations is None else modes + relaxations
 
 
-def _of_real_poles(found: Sequence[tuple[float, ComplexArray]]) -> list[_PassiveMode] | None:
+def _of_real_poles(real_poles: Sequence[tuple[float, ComplexArray]]) -> list[_PassiveMode] | None:
     """Overdamped resonators, each of two real poles, and relaxations, of rates and residues."""
     slow: list[tuple[float, float, Array]] = []
     fast: list[tuple[float, float, Array]] = []
     modes: list[_PassiveMode] = []
     none = np.zeros(0, complex)
-    for rate, residue in found:
+    for rate, residue in real_poles:
         sigma, W = eigh(0.5 * (residue.real + residue.real.T))
         if np.linalg.norm(residue - residue.T) > _RESIDUE * np.abs(sigma).max():
             return None
         for k in np.flatnonzero(np.abs(sigma) > _NONE * np.abs(sigma).max()):
             (fast if sigma[k] > 0 else slow).append((rate, abs(float(sigma[k])), W[:, k]))
     for rate, weight, u in slow:
-        partners = [one for one in fast if _is_pair((rate, weight, u), one)]
+        partners = [candidate for candidate in fast if _is_pair((rate, weight, u), candidate)]
         if not partners:
             return None
-        partner = min(partners, key=lambda one: abs(one[1] * rate - weight * one[0]))
-        fast = [one for one in fast if one is not partner]
+        partner = min(partners, key=lambda candidate: abs(candidate[1] * rate - weight * candidate[0]))
+        fast = [candidate for candidate in fast if candidate is not partner]
         d = np.sqrt(rate * partner[0])
         psi = np.sqrt(weight * (partner[0] - rate) / rate) * u
         modes.append(_PassiveMode(d, (rate + partner[0]) / (2 * d), 1j * psi, none))
@@ -666,7 +668,7 @@ def _is_pair(slow: tuple[float, float, Array], fast: tuple[float, float, Array])
     return bool(rate > a and abs(other * a - weight * rate) <= 1e-6 * weight * rate and abs(u @ w) > 1 - 1e-9)
 
 
-def _factors(K: Any) -> tuple[Array, Any]:
+def _factors(K: Array | ComplexArray) -> tuple[Array, Array | ComplexArray]:
     """Positive eigenvalues and vectors of the Hermitian part of a residue; the largest entry of each is positive."""
     sigma, W = eigh(0.5 * (K + K.conj().T))
     kept = sigma > max(_NONE, len(K) * EPS) * sigma[-1]
@@ -678,10 +680,10 @@ def _factors(K: Any) -> tuple[Array, Any]:
 def _side_by_side(modes: Sequence[_PassiveMode], D: Array) -> Parts:
     """Coordinates `(q, p)` of the resonators, by frequency, and after them the states of relaxations."""
     m, sensors = len(D), len(modes[0].sensed) if modes else 0
-    modes = sorted(modes, key=lambda one: one.d or np.inf)
-    d, loss = (np.array([getattr(one, name) for one in modes], float) for name in ("d", "loss"))
-    psi = np.array([one.psi for one in modes], complex).reshape(len(modes), m)
-    sensed = np.array([one.sensed for one in modes], complex).reshape(len(modes), sensors)
+    modes = sorted(modes, key=lambda mode: mode.d or np.inf)
+    d, loss = (np.array([getattr(mode, name) for mode in modes], float) for name in ("d", "loss"))
+    psi = np.array([mode.psi for mode in modes], complex).reshape(len(modes), m)
+    sensed = np.array([mode.sensed for mode in modes], complex).reshape(len(modes), sensors)
     k = int(np.count_nonzero(d))
     n = k + len(modes)
     nu, d, zeta, rate = psi[:k] / np.sqrt(d[:k, None]), d[:k], loss[:k], loss[k:]

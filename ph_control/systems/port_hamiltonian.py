@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import control as ct
 import numpy as np
@@ -21,7 +21,7 @@ from ..modal.general_form import GeneralModalForm, from_pole_residues, from_stat
 from ..modal.minimal import Reduction
 from ..modal.modal_form import ModalForm, from_frequencies
 from ..numerics import definiteness as _definite
-from ..numerics.rational import state_space
+from ..numerics.rational import LinearSystem, state_space
 from ..symplectic.darboux_and_casimirs import normal_form
 from ..symplectic.forms_and_williamson import (
     apply_form,
@@ -31,8 +31,11 @@ from ..symplectic.forms_and_williamson import (
     symplectic_form,
     williamson,
 )
-from .base import LosslessSystem, View, inherited_names, refuse_losses, restored
-from .passive_form import Conversion, in_port_order, loses_energy, parts_of_resonators
+from .base import Convertible, LosslessSystem, View, inherited_names, refuse_losses, restored
+from .passive_form import Conversion, PortPairs, in_port_order, loses_energy, parts_of_resonators
+
+if TYPE_CHECKING:
+    from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
 _SIGNALS = ("inputs", "outputs", "states")
@@ -235,7 +238,7 @@ class PortHamiltonian(LosslessSystem):
         """Modes parted into those that ports reach and those that they do not."""
         return separate(self.modes, self._given, None if self._given is None else self._energy, rtol=rtol)
 
-    def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
+    def horner(self, x: ArrayLike, warn_infinite: bool = True) -> ComplexArray:
         """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN.
 
         On modal coordinates, O(n) a point: the response of the frequencies `d` and weights `r` as they are known at the
@@ -359,7 +362,7 @@ class PortHamiltonian(LosslessSystem):
             return self._reduction.is_minimal
         return len(self.modes.d) == self.n and self._separation().is_minimal
 
-    def hamiltonian(self, z: ArrayLike) -> Any:
+    def hamiltonian(self, z: ArrayLike) -> float | Array:
         """Stored energy `z^T Q z / 2`.
 
         Parameters
@@ -401,34 +404,34 @@ class PortHamiltonian(LosslessSystem):
 
     # --- what python-control asks a system ------------------------------------------------------------------------
 
-    def __add__(self, other: Any) -> Any:
+    def __add__(self, other: ct.StateSpace | ArrayLike) -> ct.StateSpace:
         """Parallel connection; PH with a PH system of the same number of ports, or with a gain that takes energy."""
         from .interconnection import parallel
 
         if is_number(other) and other == 0:
             return self
-        found = parallel(self, other)
-        return super().__add__(other) if found is None else found
+        connection = parallel(self, other)
+        return super().__add__(other) if connection is None else connection
 
-    def __radd__(self, other: Any) -> Any:
+    def __radd__(self, other: ct.StateSpace | ArrayLike) -> ct.StateSpace:
         """Parallel connection; `0 + sys` is `sys`, so that `sum` of PH systems is PH."""
         # Python asks the subclass first; a StateSpace on the left is to do its own adding
         return NotImplemented if isinstance(other, ct.StateSpace) else self + other
 
-    def __mul__(self, other: Any) -> Any:
+    def __mul__(self, other: ct.StateSpace | ArrayLike) -> ct.StateSpace:
         """Series connection; PH if `other` is a positive number: `B` is scaled by its square root."""
         if is_number(other) and 0 < other < np.inf:
             return self._scaled(float(other))
         return super().__mul__(other)
 
-    def __rmul__(self, other: Any) -> Any:
+    def __rmul__(self, other: ct.StateSpace | ArrayLike) -> ct.StateSpace:
         """Series connection; PH if `other` is a positive number."""
         if is_number(other) and 0 < other < np.inf:
             return self._scaled(float(other))
         # Python asks the subclass first; StateSpace.__rmul__ would hand the question back without end
         return NotImplemented if isinstance(other, ct.StateSpace) else super().__rmul__(other)
 
-    def feedback(self, other: Any = 1, sign: int = -1) -> Any:
+    def feedback(self, other: ct.StateSpace | ArrayLike = 1, sign: int = -1) -> ct.StateSpace:
         """Feedback loop, PH for negative feedback through a PH system or a matrix that only takes energy.
 
         Parameters
@@ -459,7 +462,7 @@ class PortHamiltonian(LosslessSystem):
         except AttributeError:  # of python-control, which finds no system in it
             raise TypeError(f"a {type(other).__name__} cannot be the feedback of a system") from None
 
-    def append(self, other: Any) -> Any:
+    def append(self, other: ct.StateSpace | ArrayLike) -> ct.StateSpace:
         """Systems side by side, PH with a PH system or with a gain that takes energy.
 
         Parameters
@@ -480,8 +483,8 @@ class PortHamiltonian(LosslessSystem):
         """
         from .interconnection import append
 
-        found = append(self, other)
-        return super().append(other) if found is None else found
+        combined = append(self, other)
+        return super().append(other) if combined is None else combined
 
     def _converted(self, **names: Any) -> PortHamiltonian:
         names = inherited_names(self, names, *_SIGNALS)
@@ -507,14 +510,14 @@ class PortHamiltonian(LosslessSystem):
         """Views of these names, as far as they have been computed, of a system that was given by matrices."""
         return {} if self._given is None else {name: self._views[name] for name in names if name in self._views}
 
-    def _told(self) -> dict[str, Any]:
+    def _attached(self) -> dict[str, Any]:
         """Attributes that are set after a system was made, for pickles."""
         names = "time_unit", "structural_modes", "base_motion", "error_bound", "cost"
         return {name: getattr(self, name) for name in names}
 
     def __reduce__(self) -> tuple[Any, ...]:
         known = self._given, self._modes, self._names(), self._kept(_OF_Q_AND_B)
-        return restored, (type(self), *known), self._told()
+        return restored, (type(self), *known), self._attached()
 
     def _repr_eval_(self) -> str:
         if self._given is not None:
@@ -526,7 +529,7 @@ class PortHamiltonian(LosslessSystem):
         Q, B = latex_matrix(self.Q), latex_matrix(self.B)
         return rf"\dot z = J Q z + B u, \quad y = B^\top Q z, \quad Q = {Q}, \quad B = {B}"
 
-    def controllable_form(self, **names: Any) -> Any:
+    def controllable_form(self, **names: Any) -> ControllableHamiltonian:
         """Controllable Hamiltonian canonical form with the same parameters: what `ch` makes of this system.
 
         Parameters
@@ -554,7 +557,7 @@ class PortHamiltonian(LosslessSystem):
 
         return ch(self, **names)
 
-    def observable_form(self, **names: Any) -> Any:
+    def observable_form(self, **names: Any) -> ObservableHamiltonian:
         """Observable Hamiltonian canonical form with the same parameters: what `oh` makes of this system.
 
         Parameters
@@ -583,7 +586,7 @@ class PortHamiltonian(LosslessSystem):
         return oh(self, **names)
 
 
-def is_number(value: Any) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
     """Whether it is a number, True and False excepted."""
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
@@ -597,10 +600,10 @@ def ph(
     S: ArrayLike | None = None,
     N: ArrayLike | None = None,
     J: ArrayLike | None = None,
-    sensors: Any = None,
+    sensors: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None,
     storage: str = "auto",
     lossless: bool = False,
-    ports: Any = None,
+    ports: PortPairs | None = None,
     method: str | None = None,
     intersample: str = "zoh",
     **names: Any,
@@ -727,7 +730,7 @@ def warn_of_ill_conditioning(Q: Array, energy: tuple[Array, ComplexArray, Array]
         )
 
 
-def _refuse_sampling(method: Any, intersample: Any) -> None:
+def _refuse_sampling(method: str | None, intersample: str) -> None:
     """Refuse to be told how a system was sampled that was not."""
     if method is not None or not (isinstance(intersample, str) and intersample == "zoh"):
         raise StructureError(
@@ -737,7 +740,13 @@ def _refuse_sampling(method: Any, intersample: Any) -> None:
 
 
 def _of_system(
-    source: Any, storage: str, lossless: bool, ports: Any, method: str | None, intersample: str, names: dict[str, Any]
+    source: Convertible,
+    storage: str,
+    lossless: bool,
+    ports: PortPairs | None,
+    method: str | None,
+    intersample: str,
+    names: dict[str, Any],
 ) -> PortHamiltonian:
     """Port-Hamiltonian form of any linear system."""
     sampled = isinstance(source, ct.InputOutputSystem) and source.isdtime(strict=True)
@@ -774,7 +783,9 @@ def _of_system(
     return of_passive(system, storage, refusal, kept)
 
 
-def _as_it_is(source: Any, storage: str, lossless: bool, ports: Any, names: dict[str, Any]) -> PortHamiltonian | None:
+def _as_it_is(
+    source: Convertible, storage: str, lossless: bool, ports: PortPairs | None, names: dict[str, Any]
+) -> PortHamiltonian | None:
     """Form of lossless modes, or, unless storage or ports are given, of other modes and of systems of this package."""
     if isinstance(source, ModalForm) and source.is_lossless:
         return PortHamiltonian._from_modes(source, **names)
@@ -792,7 +803,7 @@ def _as_it_is(source: Any, storage: str, lossless: bool, ports: Any, names: dict
 
 
 def _lossless_modes(
-    system: Any, required: bool, method: str | None, intersample: str
+    system: LinearSystem, required: bool, method: str | None, intersample: str
 ) -> tuple[ModalForm | None, NotLosslessError | None]:
     """Modes of a system if it is lossless, or why it is not, which is raised where that is required."""
     try:
@@ -818,7 +829,7 @@ def _of_ports(sys: ct.StateSpace) -> ct.StateSpace:
     return ct.ss(sys.A, sys.B, sys.C[:m], sys.D[:m])
 
 
-def _state_space(source: Any, refusal: NotLosslessError | None) -> ct.StateSpace:
+def _state_space(source: LinearSystem, refusal: NotLosslessError | None) -> ct.StateSpace:
     """A system as matrices, or the refusal of one that has none."""
     lti = isinstance(source, scipy.signal.lti)
     if not lti and not isinstance(source, ct.StateSpace | ct.TransferFunction):
@@ -929,7 +940,7 @@ def modes(
         return from_state_space(state_space(d))
 
 
-def full_port_hamiltonian(sys: Any) -> PortHamiltonian:
+def full_port_hamiltonian(sys: Convertible) -> PortHamiltonian:
     """Port-Hamiltonian system with the transfer function of `sys`, and with its hidden modes where it has a size."""
     if isinstance(sys, PortHamiltonian):
         return sys

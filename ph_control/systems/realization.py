@@ -21,7 +21,7 @@ from ..exceptions import StructureError
 from ..modal.error_bounds import Group, Separation, as_decided
 from ..modal.minimal import minimal_of_exact
 from ..modal.modal_form import ModalForm
-from .base import LosslessSystem, in_normal_form, refuse_losses
+from .base import Convertible, LosslessSystem, in_normal_form, refuse_losses
 from .dissipative import DissipativePortHamiltonian, minimal_of
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian, ph
 
@@ -30,7 +30,7 @@ _SURE_GAP = 2e-6  # relative gap of frequencies beyond which weights, however co
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class KalmanDecomposition(Sequence[Any]):
+class KalmanDecomposition(Sequence["PortHamiltonian | Array"]):
     """A system as the direct sum of what its port reaches and what it does not; made by `kalman_decomposition`.
 
     A sequence of three: `reachable, hidden, T = kalman_decomposition(sys)`.
@@ -140,7 +140,7 @@ class CanonicalMargins:
         return "\n".join(lines)
 
 
-def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
+def minreal(sys: Convertible, *, rtol: float | None = None) -> PortHamiltonian:
     """Minimal port-Hamiltonian system with the same transfer function.
 
     Parameters
@@ -221,7 +221,7 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     return _named_like(system, system._minimal if rtol is None else system._separation(rtol).minimal())
 
 
-def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomposition:
+def kalman_decomposition(sys: Convertible, *, rtol: float | None = None) -> KalmanDecomposition:
     """Split a system into a canonical one and one that the port neither moves nor sees.
 
     For `Q > 0` the reachable subspace is symplectic and its `Q`-orthogonal complement is the unobservable one, so
@@ -280,18 +280,19 @@ def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomp
             f"Q is only positive semidefinite: {system.n - len(system.d)} of {system.n} degrees of freedom have no "
             "frequency, and what is reachable is then more than what is observable; use minreal"
         )
-    found = reduction or system._separation(rtol)
-    hidden = found.hidden()
+    split = reduction or system._separation(rtol)
+    hidden = split.hidden()
     unseen = ModalForm._of(hidden, np.zeros((len(hidden), 1), complex), np.zeros((0, 1)))
 
     def transformation() -> Array:
-        groups = found.groups if reduction is None else as_decided(system.modes, reduction.starts, reduction.reached)
-        return _transformation(system, groups)
+        if isinstance(split, Separation):
+            return _transformation(system, split.groups)
+        return _transformation(system, as_decided(system.modes, split.starts, split.reached))
 
-    return KalmanDecomposition(_named_like(system, found.minimal()), _named_like(system, unseen), transformation)
+    return KalmanDecomposition(_named_like(system, split.minimal()), _named_like(system, unseen), transformation)
 
 
-def canonical_margins(sys: Any) -> CanonicalMargins:
+def canonical_margins(sys: Convertible) -> CanonicalMargins:
     """Tell whether a system is canonical, and by how much.
 
     A system with `Q > 0` is canonical iff its frequencies differ (non-resonance) and each mode is reached
@@ -333,16 +334,16 @@ def canonical_margins(sys: Any) -> CanonicalMargins:
       degeneracy: the residue of mode 3 is 0.025 of the largest, unreached up to 0.0e+00
     """
     system = _with_hidden_modes(sys, "the canonical margins are those of one port")
-    found = system._separation()
+    separation = system._separation()
     rigid = system.n - len(system.d)
-    resonance, close, pair = _least_distance(system.d, found.errors.d)
-    degeneracy, faint, mode = _least_residue(found)
-    near = int(np.count_nonzero(np.diff(found.minimal().d) <= _NEAR * found.minimal().d[1:]))
-    canonical = rigid == 0 and found.is_minimal
+    resonance, close, pair = _least_distance(system.d, separation.errors.d)
+    degeneracy, faint, mode = _least_residue(separation)
+    near = int(np.count_nonzero(np.diff(separation.minimal().d) <= _NEAR * separation.minimal().d[1:]))
+    canonical = rigid == 0 and separation.is_minimal
     return CanonicalMargins(canonical, resonance, close, pair, degeneracy, faint, mode, rigid, near)
 
 
-def _with_hidden_modes(sys: Any, limit: str) -> PortHamiltonian:
+def _with_hidden_modes(sys: Convertible, limit: str) -> PortHamiltonian:
     """Port-Hamiltonian system of one port with all that `sys` has; refused where a conversion left states behind."""
     system = full_port_hamiltonian(sys)
     if system.ninputs != 1:
@@ -395,12 +396,12 @@ def _least_distance(d: Array, error: Array) -> tuple[float, float, tuple[int, in
     return float(distance[j, l]), float(allowed[j, l]), (j, l)
 
 
-def _least_residue(found: Separation) -> tuple[float, float, int | None]:
+def _least_residue(separation: Separation) -> tuple[float, float, int | None]:
     """The mode with the least room above its tolerance: residue over the largest, tolerance, index."""
-    d = found.modes.d
+    d = separation.modes.d
     if len(d) == 0:
         return 1.0, 0.0, None
-    residue, allowed = d * found.strength**2, d * found.errors.nu**2
+    residue, allowed = d * separation.strength**2, d * separation.errors.nu**2
     largest = float(residue.max()) or 1.0
     mode = int((residue - allowed).argmin())
     return float(residue[mode]) / largest, float(allowed[mode]) / largest, mode

@@ -13,12 +13,12 @@ from ..exceptions import NotLosslessError
 from ..modal.modal_form import ModalForm
 from ..numerics.polynomials import cofactors, digits
 from ..numerics.rational import transfer_function
-from .base import LosslessSystem
+from .base import Convertible, LosslessSystem
 from .canonical_forms import warn_of_lost_digits
 from .port_hamiltonian import ph
 
 
-def tf(sys: Any, **names: Any) -> ct.TransferFunction:
+def tf(sys: Convertible, **names: Any) -> ct.TransferFunction:
     """Transfer function; of a lossless system of one port all coefficients have full relative accuracy.
 
     Parameters
