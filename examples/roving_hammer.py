@@ -39,8 +39,8 @@ beam = phc.from_second_order(
 )
 
 # %%
-# The recordings: each hit is a half sine of 2 ms with another force, and the noise is 2 % of the acceleration and
-# 0.05 N of the force. Labels say which position was hit; that is how recordings of one test are told apart. `pem` sets
+# The recordings: each hit is a half sine of 2 ms with another force, and the noise is 0.1 m/s² of the acceleration
+# and 0.05 N of the force. Labels say which position was hit; that is how recordings of one test are told apart. `pem` sets
 # the force to 0 outside the contact, and says so.
 
 rng = np.random.default_rng(3)
@@ -52,7 +52,7 @@ for k in range(9):
     inputs[k] = force
     clean = phc.forced_response(beam, t, inputs, intersample="zoh").outputs[-1]
     recording = ct.TimeResponseData(
-        t, clean + 0.02 * np.std(clean) * rng.standard_normal(t.size),
+        t, clean + 0.1 * rng.standard_normal(t.size),
         inputs=force + 0.05 * rng.standard_normal(t.size), issiso=True,
         input_labels=[f"hit {k + 1}"], output_labels=["acceleration"],
     )  # fmt: skip

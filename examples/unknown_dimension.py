@@ -37,11 +37,11 @@ noise = 0.05 * np.std(y)
 measured = y + noise * rng.standard_normal(1200)
 
 # %%
-# Down: learned with 1 to 8 modes. Too few miss what is there. Too many cost little here: the modes that are not there
+# Down: learned with 1 to 6 modes. Too few miss what is there. Too many cost little here: the modes that are not there
 # get weights near 0, and predict the noise of the record, which is why the error of what follows rises again. Input and
 # output are known to have no delay, which could stand for a part of the modes that are missing.
 
-orders = range(1, 9)
+orders = range(1, 7)
 within, ahead = [], []
 for order in orders:
     result = phc.pem((u[:600], measured[:600]), order, dt=0.2, rng=0, structure="lossless", delay=0.0)
