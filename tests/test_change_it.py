@@ -90,7 +90,7 @@ def patches() -> dict[str, list[tuple[str, str]]]:
     """Of each section of the page the files that it changes, with the lines of the patch."""
     sections = re.split(r"^## ", PAGE, flags=re.M)[1:]
     found = {
-        section.splitlines()[0]: re.findall(r"^```diff\n--- (\S+)\n(.*?)^```$", section, re.M | re.S)
+        section.splitlines()[0]: re.findall(r"^```diff\nIndex: (\S+)\n(.*?)^```$", section, re.M | re.S)
         for section in sections
     }
     return {title: blocks for title, blocks in found.items() if blocks}
