@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from . import _checks
+from ._choices import QUANTITIES
 from .exceptions import StructureError
 
 # what an output measures, as a derivative of a displacement; of any other sensor nothing is known
-DERIVATIVES = {"displacement": 0, "free": 0, "velocity": 1, "acceleration": 2}
+DERIVATIVES = {name: quantity.derivatives for name, quantity in QUANTITIES.items()}
 SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 _SPELLINGS = {
     "ns": ("ns", "nsec", "nanosecond", "nanoseconds"),
@@ -34,6 +35,11 @@ _UNIT_NAME = (
 )
 _UNIT_FACTOR = _UNIT_NAME + r"(?:(?:\^|\*\*)?\(?[+-]?[0-9]\)?|[⁻]?[⁰¹²³⁴-⁹])?"
 UNIT = re.compile(rf"(?:1/|√)?{_UNIT_FACTOR}(?:\s*[*·.⋅/ ]\s*(?:√|\()?{_UNIT_FACTOR}\)?){{0,5}}")
+
+
+def feels_force(quantity: str) -> bool:
+    """Whether a force shows in a quantity at once, as in an acceleration."""
+    return DERIVATIVES[quantity] >= 2
 
 
 def known_unit(text: str) -> str | None:

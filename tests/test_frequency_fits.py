@@ -356,6 +356,12 @@ def test_intervals_of_responses_without_weights_hold_what_they_should(n, relativ
     assert np.mean(inside) >= 0.8
 
 
+def test_noise_that_grows_with_the_gain_is_found_in_any_units():
+    *_, data = plant_with_noise(3, 1, relative=0.03, floor=0.02)
+    laws = [share_of(phc.pem(ct.frd(unit * data.frdata, data.omega), 3)) for unit in (1e-6, 1.0, 1e6)]
+    assert laws[1] > 0.01 and np.allclose(laws, laws[1], rtol=1e-6)
+
+
 # --- recordings ----------------------------------------------------------------------------------------------------
 
 

@@ -187,9 +187,10 @@ def test_measured_test_circuits_are_passive_models_of_real_poles(data_folder, nu
     table = np.array([[float(one.strip(",")) for one in row] for row in rows if len(row) == 9 and _is_number(row[0])])
     table = table[np.argsort(table[:, 0])]
     result = phc.pem(measured(table[:, 4] + 1j * table[:, 5], 2 * np.pi * table[:, 0]), structure="passive")
-    assert result.order == 0 and len(result.real_poles) == 1 and result.outcome.name == "CONSISTENT"
-    found = result.feedthrough.item(), result.residues.real.item() * result.time_constants.item()
-    assert np.allclose(found, resistances, rtol=0.01)
+    assert result.order == 0 and result.outcome.name == "CONSISTENT"
+    # a second pole, of a capacitor that is not ideal, has next to nothing
+    each = result.residues[:, 0, 0].real * result.time_constants
+    assert np.allclose((result.feedthrough.item(), each.sum()), resistances, rtol=0.01) and each[0] > 0.97 * each.sum()
 
 
 def _is_number(text):

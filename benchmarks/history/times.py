@@ -28,7 +28,7 @@ class Fits:
     params = ("plain", "order_given", "damped", "two_by_three", "decay", "response_matrix")
     param_names = ("kind",)
     timer = staticmethod(process_time)
-    timeout = 120.0
+    timeout = 600.0  # of the clock: beside other work processor time is a part of it
 
     def setup(self, kind: str) -> None:
         """Make the record."""
@@ -52,7 +52,7 @@ class Systems:
     """Conversion, passivity, reduction and simulation of chains."""
 
     timer = staticmethod(process_time)
-    timeout = 120.0
+    timeout = 600.0  # of the clock: beside other work processor time is a part of it
 
     def setup(self) -> None:
         """Make the systems."""

@@ -26,6 +26,7 @@ from typing import Any
 
 import ph_control as phc
 
+from ..._choices import CRITERIA, NOISES, QUANTITIES, REPRESENTATIONS, STRUCTURES
 from ...exceptions import IdentificationError, StructureError
 from ..inputs import measurements, read_model, system_name_of
 from ..options import INTERSAMPLE, Parser, add_meeting, add_recording, add_written, order, system_name, within
@@ -42,12 +43,6 @@ from ..outputs import (
 )
 
 USAGE = "RECORDING [RECORDING ...] [options]"
-
-CRITERIA = ("bic", "aicc", "aic", "holdout")
-NOISES = ("auto", "white", "correlated", "coloured", "forces")
-QUANTITIES = ("velocity", "displacement", "acceleration", "free")
-STRUCTURES = ("auto", "lossless", "classical", "passive", "free")
-REPRESENTATIONS = ("observable", "controllable")
 
 
 def add_options(parser: Parser) -> None:
@@ -84,7 +79,7 @@ def add_fitted(parser: Parser) -> None:
         "--criterion", choices=CRITERIA, default="bic", help="criterion that auto minimises (default bic)"
     )
     model.add_argument(
-        "--structure", choices=STRUCTURES, default="auto",
+        "--structure", choices=("auto", *STRUCTURES), default="auto",
         help="assumption about losses and sensors (default auto: the simplest that the data do not reject)",
     )  # fmt: skip
     model.add_argument(
@@ -92,8 +87,8 @@ def add_fitted(parser: Parser) -> None:
     )
     model.add_argument(
         "--quantity", type=quantities, metavar="LIST",
-        help="velocity, displacement, acceleration or free, for all outputs or for each (default: from the file, "
-        "its labels or units, else velocity)",
+        help=f"{', '.join(QUANTITIES)}, for all outputs or for each (default: from the file, its labels or units, "
+        "else velocity)",
     )  # fmt: skip
     add_meeting(model, ("estimate", "zero"), "whichever fits better", (*INTERSAMPLE, "bandlimited"))
     model.add_argument(

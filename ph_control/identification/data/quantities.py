@@ -9,26 +9,13 @@ from typing import Any
 import numpy as np
 
 from ... import _checks
+from ..._choices import QUANTITIES
 from ..._display import counted
-from ..._units import DERIVATIVES
 from ...exceptions import StructureError
 from ...io.tables.columns import is_time_label
 
-QUANTITIES = tuple(DERIVATIVES)
-_WORDS = {
-    "acceleration": ("acceleration", "accelerations", "accel", "acc", "accelerometer", "accelerance", "inertance"),
-    "velocity": ("velocity", "velocities", "vel", "speed", "mobility"),
-    "displacement": ("displacement", "displacements", "disp", "displ", "position", "deflection", "receptance"),
-    "free": ("strain", "microstrain"),
-}
-_QUANTITY_OF_WORD = {word: quantity for quantity, words in _WORDS.items() for word in words}
-_LENGTH = r"(?:[nuµμmck]?m|in|inch|ft|mil|met(?:er|re)s?|rad|deg|°)"
-_UNITS = (
-    (re.compile(rf"(?:{_LENGTH}/s(?:ec)?(?:\^|\*\*)?[2²]|{_LENGTH}/s/s|m?g_?n?)"), "acceleration"),
-    (re.compile(rf"(?:{_LENGTH}/s(?:ec)?|rpm)"), "velocity"),
-    (re.compile(r"(?:[uµμ][εe]|[uµμ]?strain|[uµμm]?m/m)"), "free"),
-    (re.compile(_LENGTH), "displacement"),
-)
+_QUANTITY_OF_WORD = {word: name for name, quantity in QUANTITIES.items() for word in quantity.words}
+_UNITS = tuple((re.compile(quantity.units), name) for name, quantity in QUANTITIES.items())
 _BY_FORCE = re.compile(r"/\(?(?:[kM]?N(?:\*?m)?|lbf)\)?$")
 
 
@@ -127,7 +114,7 @@ def checked_quantities(quantity: Any, labels: Sequence[str]) -> tuple[str, ...]:
         raise StructureError(
             f"quantity has {len(each)} entries for {counted(len(labels), 'output')}; give one for each, or one"
         )
-    return tuple(_checks.choice("quantity", kind, QUANTITIES) for kind in each)
+    return tuple(_checks.choice("quantity", kind, tuple(QUANTITIES)) for kind in each)
 
 
 def measured_by(quantities: Sequence[str], labels: Sequence[str]) -> str:

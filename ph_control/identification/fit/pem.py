@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from ... import _checks
+from ..._choices import CRITERIA, NOISES, REPRESENTATIONS, STRUCTURES
 from ..._heartbeat import heard_by
 from ..._threads import on_one_thread
 from ..._workers import check_workers
@@ -19,16 +20,11 @@ from ..data.quantities import ports_of, quantity_of
 from ..diagnosis.verdict import WHITE, Outcome
 from ..parameters.model_function import ModelFunction
 from ..search.circumstances import Cause, Finding
-from ..search.criteria import CRITERIA
 from ..search.progress import Callback
-from ..structure.hypothesis_tests import STRUCTURES
 from ..structure.parametric import PARAMETRIC, for_channels
 from .modal_fit import fit_channels
 from .options import Options, request_of, starting_poles
 from .pem_result import PEMResult
-
-REPRESENTATIONS = ("observable", "controllable")
-NOISES = ("auto", "white", "correlated", "coloured", "forces")
 
 
 @on_one_thread

@@ -11,6 +11,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from ..._choices import STRUCTURES
 from ..._types import Array
 from ..._units import DERIVATIVES, SECONDS
 from ...exceptions import StructureError
@@ -26,7 +27,6 @@ from ..parameters.fitted_parameters import FittedParameters
 from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import QUANTITIES
 from ..regression.prediction import FittedExperiment, ResponseBackground
-from ..structure.hypothesis_tests import STRUCTURES
 from ..structure.layout import residue_of_unit_weight
 from ..structure.parametric import PARAMETRIC
 from ..uncertainty.noise_model import NoiseModel

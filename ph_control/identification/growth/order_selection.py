@@ -11,6 +11,7 @@ import control as ct
 import numpy as np
 
 from ... import _checks
+from ..._choices import CRITERIA
 from ..._display import Report
 from ..._frozen import Frozen
 from ..._threads import on_one_thread
@@ -24,7 +25,6 @@ from ..data.channels import refuse_still
 from ..data.experiments import as_channels
 from ..data.quantities import checked_quantities, quantity_of
 from ..search.channel_rows import RowOptions
-from ..search.criteria import CRITERIA
 from ..search.path import FreePath, SearchOptions
 from ..search.progress import Callback, reporter
 from ..search.starting_poles import poles_of

@@ -62,7 +62,7 @@ def in_noise_of_the_gain(first: FreeFit, search: Search) -> FreeFit:
     finding = Finding(Cause.GAIN_NOISE, tuple(law.share for law, _ in laws), sum(gain for _, gain in laws))
     # constant noise, at the points of large gain that balanced weights leave free, may seem to grow
     more = float(np.log(judged.projection.rows)) * sum(1 for law, _ in laws if law.share)
-    return replace(judged, findings=(finding,)) if weighted_bic(judged) + more < weighted_bic(first) else first
+    return replace(judged, findings=(finding,)) if _restricted_bic(judged) + more < _restricted_bic(first) else first
 
 
 @dataclass(frozen=True)
@@ -95,9 +95,31 @@ class Refits:
 
 def weighted_bic(fit: FreeFit) -> float:
     """Return the BIC with the density of the noise where it has these weights: two real numbers at each point."""
+    logs = [np.log(relative_weights(channel)).reshape(channel.observed.shape) for channel in fit.channels]
     return fit.criteria.bic - 2 * sum(
-        float(np.sum(np.log(channel.weights[channel.observed]))) for channel in fit.channels
+        float(np.sum(each[channel.observed])) for each, channel in zip(logs, fit.channels, strict=True)
     )
+
+
+def _restricted_bic(fit: FreeFit) -> float:
+    """Return the same, each point counted as far as the fit leaves its noise: one that it goes through tells of none.
+
+    So it has the derivative of the restricted likelihood by the weights.
+    """
+    logs, weights = 0.0, [np.log(relative_weights(channel)) for channel in fit.channels]
+    for rows in fit.projection.experiments:
+        if isinstance(rows, FreeResponse):
+            each = weights[rows.experiment][rows.outputs][:, rows.observed]
+            if each.any():
+                logs += float(np.sum(each * _left(rows, fit.projection)))
+    return fit.criteria.bic - 2 * logs
+
+
+def relative_weights(channel: ResponseMatrix) -> Array:
+    """Return the weights of each entry (p m, K) over their mean, as rows have them: the same in any units."""
+    weights, seen = (each.reshape(-1, channel.samples) for each in (channel.weights, channel.observed))
+    means = np.sum(np.where(seen, weights, 0.0), axis=1) / np.maximum(seen.sum(axis=1), 1)
+    return np.asarray(weights / np.where(seen.any(axis=1), means, 1.0)[:, None])
 
 
 def _with_weights(channels: Sequence[ResponseMatrix], weights: Sequence[Array]) -> list[ResponseMatrix]:
@@ -168,11 +190,7 @@ def entry_laws(projection: FreeProjection) -> tuple[list[tuple[NoiseLaw, float]]
     search = Responses([response.every(step) for response, step in zip(every, steps, strict=True)])
     parts: list[list[_Points]] = [[] for _ in range(projection.shared.shape[1])]
     for rows, residuals, step in zip(search.data, search.residuals(projection), steps, strict=True):
-        q, slopes = len(rows.outputs), 2 * len(projection.p)
-        columns = next(rows.at(projection.p).blocks())[:-q]
-        # poles are fitted to all entries, of which each feels its share
-        alone, together = _spare(columns[:-slopes]), _spare(columns)
-        spare = 1 - (1 - alone - (together - alone) / len(parts)) / step  # of all points each takes less
+        spare = 1 - (1 - _left(rows, projection)) / step  # of all points each takes less
         for output, residual, target in zip(rows.outputs.tolist(), residuals, rows.target, strict=True):
             parts[output].append(_points(residual, target, rows.weight, spare))
     free = all(spare.min(initial=1.0) > _FREE for entry in parts for _, spare, _ in entry)
@@ -195,6 +213,14 @@ def _likeliest(parts: Sequence[_Points], entries: int = 1) -> tuple[NoiseLaw, fl
     floor, share, more = _law(squares, spare, gain**2 / unit, TUNING.constant_by_chance / entries)
     kind = NoiseKind.GAIN if share else NoiseKind.CONSTANT
     return NoiseLaw(kind, float(np.sqrt(floor)), float(np.sqrt(share / unit))), more
+
+
+def _left(rows: FreeResponse, projection: FreeProjection) -> Array:
+    """Share of the noise of each point that a fit leaves, shape (m,)."""
+    columns = next(rows.at(projection.p).blocks())[: -len(rows.outputs)]
+    alone, together = _spare(columns[: -2 * len(projection.p)]), _spare(columns)
+    # poles are fitted to all entries, of which each feels its share
+    return np.asarray(alone + (together - alone) / projection.shared.shape[1])
 
 
 def _spare(columns: Array) -> Array:

@@ -18,7 +18,7 @@ from ..search.circumstances import Cause, Finding
 from ..search.fitted_modes import FreeFit, count_real_poles
 from ..uncertainty.residual_tests import is_white
 from .assumptions import Assumptions, Fit, alone
-from .gain_noise import weighted_bic
+from .gain_noise import relative_weights, weighted_bic
 
 Place = tuple[int, int]  # an experiment and a line of it
 
@@ -201,7 +201,7 @@ def _cost_of_lines(whole: FreeFit, lines: Sequence[Indices]) -> float:
     """
     count, cost = 2 * sum(int(channel.observed.sum()) for channel in whole.channels), 0.0
     for channel, places in zip(whole.channels, lines, strict=True):
-        variances = (whole.scales**2)[:, None] / channel.weights[..., places].reshape(len(whole.scales), -1)
+        variances = (whole.scales**2)[:, None] / relative_weights(channel)[:, places]
         numbers = np.where(channel.omega[places] == 0, 1, 2) * np.log(count)
         cost += float(np.sum(2 * np.log(2 * np.pi * variances) + numbers))
     return cost

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, Mask
-from ..._units import DERIVATIVES
+from ..._units import DERIVATIVES, feels_force
 from ...analysis.spectral_window import SpectralWindow
 from ..data.line_errors import BandedFactor
 from ..data.windowed import Peaks, SharedErrors, windowed_peaks
@@ -38,12 +38,13 @@ class Term(NamedTuple):
     turned: bool = False
 
 
-# what is left of modes far below and above the band; of an accelerometer the former, as a constant, is fed through
+_LARGEST_POWER = 2  # of a background
+# what is left of modes far below and above the band, `s^(k-2)` and `s^k`; most constants are fed through instead
 RESIDUAL_TERMS = {
-    "displacement": (Term(-2), Term(0)),
-    "velocity": (Term(-1), Term(1)),
-    "acceleration": (Term(2),),
-    "free": (Term(-2),),
+    quantity: tuple(
+        Term(power) for power in (k - 2, k) if power <= _LARGEST_POWER and (power or quantity == "displacement")
+    )
+    for quantity, k in DERIVATIVES.items()
 }
 FURTHER_TERMS = Term(0, True), Term(1), Term(1, True)  # of a complex constant and slope
 _TERMS_FROM = 30  # points: a background is looked for among fewer once there are modes
@@ -87,7 +88,7 @@ class FreeResponse:
         A force is felt by an accelerometer at once, whatever their number.
         """
         if len(self.omega) < _TERMS_FROM:
-            return replace(self, through=self.quantity == "acceleration")
+            return replace(self, through=feels_force(self.quantity))
         return self.beside_modes_outside()
 
     def beside_modes_outside(self) -> FreeResponse:

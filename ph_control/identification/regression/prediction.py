@@ -12,6 +12,7 @@ from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, NDArray
+from ..._units import DERIVATIVES
 from ...exceptions import StructureError
 from ...modal.modal_form import ModalForm, from_frequencies
 from ..data.frequency_record import FrequencyRecord, InFrequency
@@ -108,9 +109,12 @@ class ResponseBackground(Frozen):
         return self._of_displacement(0)
 
     def _of_displacement(self, power: int) -> Array:
-        differentiated = {"velocity": 1, "acceleration": 2}
-        places = [power + differentiated.get(quantity, 0) + 2 for quantity in self.quantities]
-        return np.asarray(self.coefficients[places, np.arange(len(places))].real)
+        powers = [power + DERIVATIVES[quantity] for quantity in self.quantities]
+        none = np.zeros(self.coefficients.shape[2])
+        return np.stack([
+            self.coefficients[_POWERS.index(k), output].real if k in _POWERS else none
+            for output, k in enumerate(powers)
+        ])  # fmt: skip
 
     def response(self, omega: Array) -> ComplexArray:
         """Values at frequencies; terms that are infinite at 0 are left out there.

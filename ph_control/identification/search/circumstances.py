@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from ..._checks import EPS
+from ..._choices import HYPOTHESES
 from ..._display import p_value, to_its_error
 from ..._types import Array, ComplexArray, NDArray
 from ..._units import hertz_size
@@ -68,11 +69,9 @@ class Cause(Enum):
     UNIDENTIFIED = "a combination of parameters that leaves no trace"
 
 
-REJECTED = {
-    "lossless": Cause.LOSSES, "classical": Cause.COMPLEX_SHAPES, "passive": Cause.ACTIVITY,
-    "rank one": Cause.SEVERAL_SHAPES, "reciprocal": Cause.ONE_WAY,
-    "parametric": Cause.WRONG_MODEL,
-}  # fmt: skip  # what the data show where they reject a hypothesis
+# what the data show where they reject a hypothesis
+REJECTED = {name: Cause[hypothesis.cause] for name, hypothesis in HYPOTHESES.items()}
+REJECTED |= {"parametric": Cause.WRONG_MODEL}
 
 
 @dataclass(frozen=True)

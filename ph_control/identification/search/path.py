@@ -11,6 +11,7 @@ import numpy as np
 from ... import _checks
 from ..._checks import EPS
 from ..._types import Array, ComplexArray, Mask
+from ..._units import feels_force
 from ...exceptions import IdentificationError
 from ..data.channels import Recording, ResponseMatrix
 from ..regression.free import FreeProjection, refine_free
@@ -101,9 +102,7 @@ class FreePath:
         """Begin the search in channels, or what ends one whose best model is known."""
         first = channels[0]
         each = form.quantities or ["free"] * len(first.output_labels)
-        felt = np.array([quantity == "acceleration" for quantity in each])[:, None].repeat(
-            len(first.input_labels), axis=1
-        )
+        felt = np.array([feels_force(quantity) for quantity in each])[:, None].repeat(len(first.input_labels), axis=1)
         if not isinstance(first, ResponseMatrix):
             recordings = [channel for channel in channels if isinstance(channel, Recording)]
             return cls(Records(records_of(recordings, form)), felt, options, best, noise)

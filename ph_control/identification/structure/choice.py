@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..._choices import STRUCTURES
 from ..diagnosis.verdict import HypothesisTest
 from ..parameters.model_function import ModelFunction
 from ..regression.tuning import TUNING
@@ -13,7 +14,7 @@ from ..search.circumstances import HOLDS, Cause, Finding
 from ..search.fitted_modes import FreeFit, feedthrough_of
 from .constrained import StructuredFit, constrained
 from .delayed import cost_of
-from .hypothesis_tests import LEVEL, STRUCTURES, choose, given_structure, likelihood_test, structure_tests
+from .hypothesis_tests import LEVEL, choose, given_structure, likelihood_test, structure_tests
 from .layout import ChannelLayout
 from .parametric import fit_parameters
 

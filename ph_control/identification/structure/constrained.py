@@ -16,6 +16,7 @@ from scipy.linalg import lapack
 from scipy.optimize import nnls
 
 from ..._checks import EPS
+from ..._choices import HYPOTHESES
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..data.windowed import crossed_scores, share_errors
@@ -30,10 +31,6 @@ from .coordinates import MatrixCoordinates, ShapeCoordinates, StructureCoordinat
 from .layout import ChannelLayout
 from .passive import PassivePoint, made_passive, nearest_passive
 
-_STRUCTURE_OF = {
-    "lossless": "lossless", "classical": "classical", "passive": "passive", "rank one": "free", "reciprocal": "free",
-    "free": "free",
-}  # fmt: skip
 _EXACT = 1e-10  # relative decrease of the loss at which a refinement ends
 _WELL_CONDITIONED = 1e10  # entries of the inverse of a Gram matrix of unit columns
 _WEAK = 0.01  # standard errors: a weight so small may be 0
@@ -406,10 +403,16 @@ class Approach:
         parameters = coordinates.dof - end.deficiency + (0 if end.delays is None else end.delays.count)
         variance = start.loss / max(1, start.rows - start.unknowns)
         return StructuredFit(
-            self.hypothesis, _STRUCTURE_OF[self.hypothesis], end.p, end.residues, end.feedthrough, shapes,
+            self.hypothesis, structure_of(self.hypothesis), end.p, end.residues, end.feedthrough, shapes,
             participation, end.loss, parameters, variance, cast(GivenResidues, end.data), self.refinement.converged,
             end, end.delays,
         )  # fmt: skip
+
+
+def structure_of(hypothesis: str) -> str:
+    """What a model of a hypothesis is called."""
+    known = HYPOTHESES.get(hypothesis)
+    return hypothesis if known is None else known.structure or hypothesis
 
 
 def is_crowded(projection: FreeProjection, region: PoleRegion) -> bool:
@@ -465,7 +468,7 @@ def nearest_passive_fit(
         point = made_passive(near.projection, layout, unknowns - near.parameters, near.covariance / variance)
     data, parameters = point.data, unknowns - point.active
     return StructuredFit(
-        "passive", _STRUCTURE_OF["passive"], data.p, *layout.split(data.shared, len(data.p)), None, None, data.loss,
+        "passive", "passive", data.p, *layout.split(data.shared, len(data.p)), None, None, data.loss,
         parameters, variance, data, True, point,
     )  # fmt: skip
 

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ..._checks import EPS
+from ..._choices import HYPOTHESES
 from ..data.windowed import share_errors
 from ..diagnosis.verdict import HypothesisTest
 from ..regression.free import FreeProjection, GivenResidues
@@ -17,8 +18,6 @@ from ..regression.sections import PoleRegion
 from .constrained import Approach, StructuredFit, constrained, is_crowded, nearest_passive_fit
 from .layout import ChannelLayout
 
-SIMPLEST_FIRST = ("lossless", "classical")
-STRUCTURES = (*SIMPLEST_FIRST, "passive", "free")  # the simplest first
 LEVEL = 0.05
 _ITERATIONS = 12  # three are usual
 _BEYOND = 100.0  # times the unknowns: a ratio at the nearest point of the free fit from which no way leads back
@@ -82,9 +81,9 @@ def structure_tests(
     for hypothesis in testable(layout):
         if among is not None and hypothesis not in among:
             continue
-        stands = [test for test in tests if test.p >= LEVEL and hypothesis == "passive"]
-        if stands:
-            # lossless and classical models are passive
+        simpler = [test for test in tests if test.hypothesis in HYPOTHESES[hypothesis].simpler]
+        stands = [test for test in simpler if test.p >= LEVEL]
+        if stands and hypothesis == "passive":
             test = replace(max(stands, key=lambda test: test.p), hypothesis=hypothesis)
         elif hypothesis == "passive":
             # the classical model is passive, and was fitted before
@@ -93,10 +92,7 @@ def structure_tests(
             test, fits[hypothesis] = likelihood_test(projection, fit, parameters - fit.parameters), fit
         else:
             test, fits[hypothesis] = _tested(projection, layout, hypothesis, region, parameters)
-        # lossless and classical models are of all wider kinds
-        tests.append(
-            replace(test, p=max(test.p, *(simpler.p for simpler in tests if simpler.hypothesis in SIMPLEST_FIRST), 0.0))
-        )
+        tests.append(replace(test, p=max([test.p, *(each.p for each in simpler)])))
     return StructureTests(tuple(tests), fits)
 
 
@@ -144,11 +140,8 @@ def _tested(
 
 def testable(layout: ChannelLayout) -> list[str]:
     """Hypotheses that channels and ports allow to test, the simplest first."""
-    driven = layout.inputs > 0
-    hypotheses = [hypothesis for hypothesis in SIMPLEST_FIRST if driven or hypothesis == "lossless"]
-    hypotheses += ["passive"] if layout.ports and driven else []
-    hypotheses += ["rank one"] if min(layout.outputs, layout.inputs) > 1 else []
-    return hypotheses + (["reciprocal"] if len(layout.ports) > 1 else [])
+    channels, ports = min(layout.outputs, layout.inputs), len(layout.ports)
+    return [name for name, known in HYPOTHESES.items() if channels >= known.channels and ports >= known.ports]
 
 
 def likelihood_test(projection: FreeProjection, fit: StructuredFit, dof: int) -> HypothesisTest:
@@ -185,7 +178,7 @@ def choose(tests: StructureTests, level: float = LEVEL) -> StructuredFit:
 
     Of a free model, residues have rank one if that is not rejected, since those of simple poles have.
     """
-    for hypothesis in (*SIMPLEST_FIRST, "passive", "rank one"):
-        if tests.stands(hypothesis, level):
+    for hypothesis, known in HYPOTHESES.items():
+        if known.chosen and tests.stands(hypothesis, level):
             return tests.fits[hypothesis]
     return tests.fits["free"]

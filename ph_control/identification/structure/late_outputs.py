@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..._types import Mask
+from ..._units import feels_force
 from ..regression.free import Lateness
 from ..regression.tuning import TUNING
 from ..search.fitted_modes import FreeFit
@@ -137,6 +138,6 @@ def places_of(free: FreeFit) -> slice:
 
 def _felt(free: FreeFit, request: Request) -> Mask:
     """What is fed through in any case (outputs of the projection, inputs): to an accelerometer."""
-    felt = np.array([quantity == "acceleration" for quantity in request.quantities])
+    felt = np.array([feels_force(quantity) for quantity in request.quantities])
     inputs = len(free.channels[0].input_labels)
     return felt.repeat(inputs)[:, None] if free.per_entry else felt[:, None].repeat(inputs, axis=1)

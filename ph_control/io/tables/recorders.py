@@ -91,4 +91,8 @@ def _wav(content: bytes, name: str) -> ArrayTable:
     return ArrayTable(name, labels, len(labels), tuple(columns.T), 1 / rate)
 
 
-READERS = {".tdms": ("TDMS", _tdms), ".parquet": ("Parquet", _parquet), ".wav": ("WAV", _wav)}
+READERS = {
+    ".tdms": ("TDMS", _tdms),
+    ".parquet": ("Parquet", _parquet),
+    ".wav": ("WAV", _wav),
+}
