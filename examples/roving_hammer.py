@@ -40,8 +40,8 @@ beam = phc.from_second_order(
 
 # %%
 # The recordings: each hit is a half sine of 2 ms with another force, and the noise is 0.1 m/s² of the acceleration
-# and 0.05 N of the force. Labels say which position was hit; that is how recordings of one test are told apart. `pem` sets
-# the force to 0 outside the contact, and says so.
+# and 0.05 N of the force. Labels say which position was hit; that is how recordings of one test are told apart. `pem`
+# sets the force to 0 outside the contact, and says so.
 
 rng = np.random.default_rng(3)
 t = np.arange(SECONDS * RATE) / RATE

@@ -20,7 +20,6 @@ hypothesis.settings.register_profile("suite", derandomize=True, deadline=None, m
 hypothesis.settings.load_profile("suite")
 
 
-
 def pytest_addoption(parser):
     parser.addoption("--slow", action="store_true", help="also run tests that are marked as slow")
 

@@ -51,6 +51,17 @@ def test_outputs_with_the_same_finding_share_one_sentence(record):
     )
 
 
+def test_what_is_mostly_noise_is_not_called_consistent(record):
+    u, y = record
+    noise = y.std() * np.random.default_rng(1).standard_normal(600)
+    results = [
+        phc.pem((u, y + size * noise), 2, dt=STEP, structure="free", noise="white", intersample="zoh")
+        for size in (0.1, 3.0)
+    ]
+    assert [result.outcome.name for result in results] == ["CONSISTENT", "MOSTLY_NOISE"]
+    assert results[1].fit_percent < 50 < results[0].fit_percent and "consistent" not in results[1].verdict
+
+
 def test_a_callback_is_told_the_stage(record):
     told = []
     phc.pem(record, 2, dt=STEP, structure="lossless", callback=told.append)

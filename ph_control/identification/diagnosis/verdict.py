@@ -10,6 +10,7 @@ from ..uncertainty.fisher import named_modes
 
 WHITE = 1e-3  # p-value below which residuals are called coloured
 GOOD_FIT = 90.0  # percent
+POOR_FIT = 50.0  # percent, of what a plant explains
 CUT_SHORT = "The fit was interrupted; the numbers above are the best found until then."
 
 
@@ -18,6 +19,7 @@ class Outcome(Enum):
 
     CONSISTENT = "consistent with the record"
     COLOURED = "consistent with the record, noise not white"
+    MOSTLY_NOISE = "little of the record explained, the rest is noise"
     UNJUDGED = "too few samples to judge"
     DOUBTFUL = "doubtful, see below"
     NOT_DESCRIBED = "NOT described by a model of this structure"
@@ -28,9 +30,6 @@ class Outcome(Enum):
     def leaves_a_model(self) -> bool:
         """Whether there is a model that may describe the data."""
         return self not in (Outcome.NOT_DESCRIBED, Outcome.NOTHING)
-
-
-SOUND = (Outcome.CONSISTENT, Outcome.COLOURED, Outcome.UNJUDGED)  # nothing speaks against the model
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from ..._units import DERIVATIVES
 from ...modal.discretization import Hold
 from ..data.time_record import Record
 from ..diagnosis.nonlinearity import not_linear
-from ..diagnosis.verdict import GOOD_FIT, WHITE, HypothesisTest, Outcome
+from ..diagnosis.verdict import GOOD_FIT, POOR_FIT, WHITE, HypothesisTest, Outcome
 from ..estimates.estimates import Estimates
 from ..excitation.excitation import examine
 from ..regression.free_prediction import FittedChannels
@@ -91,7 +91,9 @@ class Evidence:
         if self.blind or self.shows(Cause.OUTLIERS) or self.shows(Cause.SWAPPED):
             return Outcome.DOUBTFUL
         enough = estimates.likelihood.spare >= _FEW or estimates.free.rounding
-        return Outcome.CONSISTENT if enough else Outcome.UNJUDGED
+        if not enough:
+            return Outcome.UNJUDGED
+        return Outcome.CONSISTENT if estimates.fit_percent >= POOR_FIT else Outcome.MOSTLY_NOISE
 
 
 def _in_model(finding: Finding, experiments: Sequence[FittedChannels]) -> Finding:

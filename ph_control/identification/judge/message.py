@@ -96,4 +96,10 @@ def _about_residuals(evidence: Evidence) -> str:
         if estimates.free.measured is not None:
             remark = "errors and tests are those of noise with their spectrum"
         return f"The residuals are not white (Ljung-Box {p_value(evidence.whiteness)}): {remark}."
+    if evidence.outcome is Outcome.MOSTLY_NOISE:
+        noise = 100 - estimates.fit_percent
+        return (
+            f"The residuals are white, but {noise:.0f} % of the outputs in size: the model predicts little of a new "
+            "record, and its standard errors hold if the rest is noise."
+        )
     return f"The residuals are white{': the model explains the data' * (evidence.outcome is not Outcome.DOUBTFUL)}."
