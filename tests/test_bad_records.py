@@ -8,6 +8,7 @@ from pathlib import Path
 import control as ct
 import numpy as np
 import pytest
+from slow import slowly
 
 import ph_control as phc
 
@@ -62,7 +63,7 @@ def of_two_inputs(structure):
 DAMPED = {structure: functools.partial(of_two_inputs, structure) for structure in ("auto", "classical")}
 
 
-@pytest.mark.parametrize("part", [0.5, 0.9, 0.99])
+@pytest.mark.parametrize("part", [0.9, *slowly(0.5, 0.99)])
 def test_an_interruption_of_the_judgement_keeps_the_fit(part):
     whole, calls = uncut(contradicted)
     cut, _ = interrupted_at(int(part * calls), contradicted)
@@ -72,7 +73,7 @@ def test_an_interruption_of_the_judgement_keeps_the_fit(part):
 
 @pytest.mark.parametrize(
     "part, structure",
-    [(0.3, "auto"), (0.6, "classical"), (0.95, "auto"), (0.99, "classical")],
+    [(0.6, "classical"), (0.95, "auto"), *slowly((0.3, "auto"), (0.99, "classical"))],
 )
 def test_an_interruption_of_a_damped_fit_keeps_the_modes(part, structure):
     fit = DAMPED[structure]

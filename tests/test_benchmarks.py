@@ -236,6 +236,7 @@ def test_the_order_study_counts_right_orders_and_knows_pure_noise():
     assert "pure noise, T=1000" in montecarlo._report_order(trials.NOISE, [nothing])[0]
 
 
+@pytest.mark.slow
 def test_the_studies_run_from_the_command_line_and_workers_do_not_change_them(tmp_path):
     done = run(
         tmp_path, "-m", "benchmarks.montecarlo", "convergence", "--config", "1", "--first-seed", "3", "--seeds", "2",
@@ -355,7 +356,7 @@ def test_the_table_gives_medians_and_ratios_to_our_row(capsys, tmp_path):
     assert ratios[0] > 10 and ratios[1] > 5
 
 
-@pytest.mark.xdist_group("compiled")  # once, in one process
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "parameters, optimizer, rate", [*zip(methods.COORDINATES, ("plain", "adam"), (1e-3, 0.05), strict=False)]
 )
@@ -364,7 +365,7 @@ def test_the_descent_to_be_compiled_takes_the_steps_of_the_library(parameters, o
     assert methods.disagreement(recording, parameters, optimizer, rate, 25) <= 1e5 * EPS
 
 
-@pytest.mark.xdist_group("compiled")
+@pytest.mark.slow
 def test_another_rate_of_the_descent_is_another_descent(monkeypatch):
     recording, _, _ = peers.recording_of(peers.Case("euler", 3, 100, 20.0), 0)
     library = phc.gradient_descent
@@ -374,7 +375,6 @@ def test_another_rate_of_the_descent_is_another_descent(monkeypatch):
     assert methods.disagreement(recording, "unique", "adam", 0.0201, 5) > 1e-6
 
 
-@pytest.mark.xdist_group("compiled")
 def test_the_paper_scheme_keeps_its_best_point_and_predicts_by_eulers_rule(monkeypatch):
     monkeypatch.setattr(methods, "EPOCHS", 30)
     recording, new, _ = peers.recording_of(peers.Case("euler", 3, 200, 20.0), 0)
@@ -390,6 +390,7 @@ def test_the_paper_scheme_keeps_its_best_point_and_predicts_by_eulers_rule(monke
 # --- time and memory -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_fit_in_a_process_of_its_own_reports_time_peak_memory_and_error():
     found = cold.measure(2, 300)
     assert found["seconds"] > 0 and found["error"] < 1e-2
@@ -420,6 +421,7 @@ def test_the_report_judges_ratios_errors_time_and_memory():
     )
 
 
+@pytest.mark.slow
 def test_the_report_measures_time_memory_and_error_of_each_contender():
     calls = []
 
@@ -457,6 +459,7 @@ def test_a_run_replaces_only_the_one_on_the_page(tmp_path):
     assert path.read_text() == f"{end} {begin}"
 
 
+@pytest.mark.slow
 def test_the_report_writes_what_it_prints(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(report, "race", functools.partial(report.race, rounds=1))
     path, pictures = tmp_path / "page.md", tmp_path / "pictures"
@@ -501,6 +504,7 @@ def test_the_digits_are_written_as_they_are_printed(capsys, monkeypatch, tmp_pat
     assert lost[-1] > 1e3 * lost[0]
 
 
+@pytest.mark.slow
 def test_one_step_of_variable_projection_is_measured_in_a_process_of_its_own():
     found = cold.measure(2, 300, "step")
     # a step from the truth goes where the noise takes it
@@ -552,6 +556,7 @@ def test_derivatives_by_poles_are_those_of_the_model(case):
             assert np.linalg.norm(found - expected) <= 1e-4 * np.linalg.norm(expected)
 
 
+@pytest.mark.slow
 def test_damped_modes_are_found_by_us_and_held_against_the_bound():
     for case in (modal_peers.CASES["time"][0], modal_peers.CASES["frf"][0]):
         lines, document = modal_peers.study(case, 2, ["ERA"])
@@ -589,6 +594,7 @@ def test_modes_of_measured_receptances_stand_beside_those_of_peers(data_folder):
     assert "residual 0.0 %" in lines[-1]
 
 
+@pytest.mark.slow
 def test_the_second_half_of_the_robot_arm_is_predicted_as_the_first_was_fitted(data_folder):
     # the arm has two modes; searches for more of them, for lags and for the noise take long
     known = {"quantity": "acceleration", "max_order": 2, "real_poles": 0, "noise": "white", "delay": 0.0}

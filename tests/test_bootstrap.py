@@ -7,6 +7,7 @@ from multiprocessing.pool import ThreadPool
 import control as ct
 import numpy as np
 import pytest
+from slow import slowly
 
 import ph_control as phc
 from ph_control.identification.fit import bootstrap as module
@@ -203,16 +204,10 @@ def test_records_from_rest_are_told_from_others(kind, fitted):
     "kind",
     [
         "plain",
-        "missing",
         "several from rest",
-        "free",
         "response",
-        "acceleration",
-        "classical",
         "channels",
-        "late",
-        "background",
-        "real pole",
+        *slowly("missing", "free", "acceleration", "classical", "late", "background", "real pole"),
     ],
 )
 def test_under_white_noise_the_bootstrap_gives_the_standard_errors_of_the_covariance(kind, fitted):
@@ -239,6 +234,7 @@ def accelerations():
     return u, y + 0.1 * np.random.default_rng(9).standard_normal(250)
 
 
+@pytest.mark.slow
 def test_percentile_intervals_under_white_noise_are_those_of_the_normal_distribution(fitted):
     result = fitted("plain")
     again = result.bootstrap(100, rng=2)
@@ -294,6 +290,7 @@ def test_experiments_with_noise_of_their_own_have_errors_of_their_own():
     assert near(boot, expected, 40, 3 / np.sqrt(240)) and near(stated, expected, 120, 3 / np.sqrt(240))
 
 
+@pytest.mark.slow
 def test_where_two_errors_outweigh_all_others_the_estimate_often_does_not_move():
     """Of 60 residuals 2 are large: resamples without any of them, `(58/60)^60` = 13 %, end next to the estimate."""
     modes = phc.modes(1.0, 1.0)
@@ -400,6 +397,7 @@ def test_weights_that_are_held_are_reported(fitted):
     assert f"0, {100 * held.active_share[1]:.0f} %" in repr(held)
 
 
+@pytest.mark.slow
 def test_a_weight_near_zero_is_held_in_some_of_the_resamples():
     u, y = recording(200, 0.5, seed=1, modes=phc.modes([1.0, 2.3], [1.0, 0.02]))
     result = lossless_fit((u, y), 2, dt=STEP, initial_guess=([1.0, 2.3], [1.0, 1.0]), **KNOWN)
@@ -414,7 +412,7 @@ def parts(bootstrap):
     return [getattr(bootstrap, field.name) for field in dataclasses.fields(bootstrap)]
 
 
-@pytest.mark.parametrize("kind", ["several", "response"])
+@pytest.mark.parametrize("kind", ["several", *slowly("response")])
 def test_the_answer_does_not_depend_on_the_workers(kind, fitted):
     result = fitted(kind)
     alone = result.bootstrap(6, rng=5)
@@ -460,7 +458,7 @@ def breaks_down(*args, **kwargs):
     raise np.linalg.LinAlgError("SVD did not converge")
 
 
-@pytest.mark.parametrize("how", [unconverged, breaks_down])
+@pytest.mark.parametrize("how", [breaks_down, *slowly(unconverged)])
 def test_refits_that_fail_are_counted_and_left_out(how, fitted, monkeypatch):
     whole = fitted("several").bootstrap(12, rng=5)
     every_third(monkeypatch, how)

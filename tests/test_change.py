@@ -96,6 +96,7 @@ def test_a_shift_of_three_in_a_thousand_is_seen_in_the_mode_that_has_it():
     assert test.hertz == pytest.approx(fitted().hertz)
 
 
+@pytest.mark.slow
 def test_a_record_of_the_same_plant_is_no_alarm_more_often_than_the_level_says():
     """With 20 records of one plant and 20 fits, 5 % are one; without the errors of the old fit nearly half alarm."""
     alarms, naive, known = 0, 0, {"intersample": "zoh", "delay": 0.0, "noise": "white"}
@@ -406,6 +407,7 @@ def test_without_a_reference_the_first_recording_is_one():
     assert chart.alarms.tolist()[0] == 5
 
 
+@pytest.mark.slow
 def test_the_limit_is_that_of_the_rate_of_false_alarms():
     """Runs of normal scores by random numbers: their mean length is the inverse of the rate that is said."""
     chart = monitored().changes(false_alarms=0.05, shift=1.0)

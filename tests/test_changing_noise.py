@@ -6,9 +6,6 @@ from scipy.signal import lfilter
 
 import ph_control as phc
 
-# in one process: its records are fitted once for all tests
-pytestmark = pytest.mark.xdist_group("changing noise")
-
 STEP, SAMPLES = 0.3, 900
 POLES = np.array([-0.01 + 1j, -0.03 + 2j])
 SHAPES = np.array([[1.0, 0.7], [-0.6, 0.9]])

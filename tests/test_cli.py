@@ -251,6 +251,7 @@ def test_noise_alone_is_nothing_to_model_with_status_1(tmp_path):
     assert all(path.exists() for path in outputs)
 
 
+@pytest.mark.slow
 def test_robot_arm_goes_through_without_crash_or_flattery(tmp_path):
     arm = DATA / "measured" / "robot_arm.dat"
     if not arm.exists():

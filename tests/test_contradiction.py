@@ -197,6 +197,7 @@ def test_columns_reproduce_a_damped_plant_to_rounding(quantity, intersample, sta
         assert np.sqrt(wrong.loss) > 1e-4 * size
 
 
+@pytest.mark.slow
 def test_a_pair_closer_than_the_record_resolves_stays_lossless():
     """Free poles of such a pair may lie anywhere near it; the lossless minimum is not judged by where they are."""
     step, rejected = 2 * np.pi / 2000, 0

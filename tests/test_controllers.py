@@ -357,6 +357,7 @@ def noisy_fit():
     return phc.pem((u, y), 3, dt=0.05, structure="passive", ports=[(0, 0), (1, 1)])
 
 
+@pytest.mark.slow
 def test_passive_controllers_are_stable_with_every_passive_sample_of_a_fit(noisy_fit):
     samples = noisy_fit.sample_systems(8, rng=1)
     damping = [sample.damping_ratios.min() for sample in samples]

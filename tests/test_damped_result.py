@@ -10,6 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from modal_plants import Plant, data_of
+from slow import slowly
 
 import ph_control as phc
 
@@ -56,7 +57,7 @@ def parts(values):
     return np.stack([values.real, values.imag])
 
 
-@pytest.mark.parametrize("kind, structure", [("time", "free"), ("response", "classical"), ("decay", "free")])
+@pytest.mark.parametrize("kind, structure", [("time", "free"), *slowly(("response", "classical"), ("decay", "free"))])
 def test_errors_are_as_large_as_the_bound_and_intervals_cover(kind, structure):
     """Of 18 seeds: a mean of 36 squares of 1 has a standard deviation of 0.24, residues have many more."""
     options = {"order": 2, "samples": 300}

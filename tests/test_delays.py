@@ -4,6 +4,7 @@ import control as ct
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from slow import slowly
 
 import ph_control as phc
 
@@ -58,7 +59,7 @@ def test_channels_that_are_skewed_keep_their_structure():
     assert "later than the response to the input" in result.message and "delay  " in str(result)
 
 
-@pytest.mark.parametrize("order", ["auto", 3])
+@pytest.mark.parametrize("order", [3, *slowly("auto")])
 def test_a_common_delay_is_one_number(order):
     # of three modes that are given none can stand for the delay, but forces that nobody measured may
     u, y, _ = skewed(1, (1.6, 1.6))
@@ -154,6 +155,7 @@ def test_no_delay_is_found_where_there_is_none():
     assert sum(late) == 0
 
 
+@pytest.mark.slow
 def test_the_error_of_a_delay_is_what_it_errs_by():
     delays = 0.05 * np.random.default_rng(0).integers(1, 40, 6)
     z = []

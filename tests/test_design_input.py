@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
+from slow import slowly
 
 import ph_control as phc
 
@@ -147,7 +148,7 @@ def test_the_same_call_gives_the_same_signal_and_leaves_its_arguments():
 # --- what is predicted ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("structure", ["free", "classical"])
+@pytest.mark.parametrize("structure", ["free", *slowly("classical")])
 def test_predicted_errors_are_those_that_a_fit_to_the_input_states(structure):
     rng, u = np.random.default_rng(0), design().signal[0]
     y = phc.forced_response(phc.ph(LIGHT), design().time, u, intersample="zoh").outputs

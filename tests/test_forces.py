@@ -5,11 +5,9 @@ import pytest
 from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.stats import chi2
+from slow import slowly
 
 import ph_control as phc
-
-# in one process: its records are fitted once for all tests
-pytestmark = pytest.mark.xdist_group("forces")
 
 W, ZETA = np.array([0.6, 1.1, 1.7]), np.array([0.012, 0.008, 0.015])
 SHAPES = np.array([[0.8, 1.0, -0.7], [1.2, -0.5, 0.9], [0.6, -1.1, -0.8]])  # of three floors, a column each mode
@@ -77,7 +75,7 @@ def test_forces_are_named_with_their_share_and_add_no_modes(forced):
     assert white.loglik < forced.loglik - 100 and "FORCES" not in causes(white)
 
 
-@pytest.mark.parametrize("size", [{"forces": 0.03}, {"inputs": 0.05}])
+@pytest.mark.parametrize("size", [{"forces": 0.03}, *slowly({"inputs": 0.05})])
 def test_modes_lie_within_their_intervals(size):
     z = []
     for seed in range(2):
@@ -173,6 +171,7 @@ def test_a_delay_is_told_from_what_forces_do():
     np.testing.assert_allclose(result.damping_ratios, ZETA, atol=5 * result.stderr["damping_ratios"].max())
 
 
+@pytest.mark.slow
 def test_a_drift_is_found_beside_forces():
     u, y = record(8, forces=0.2)
     slopes = np.array([1.0, -2.0, 0.5]) * y.std() / 2000

@@ -14,6 +14,7 @@ import pytest
 import scipy.io
 import scipy.linalg
 from shell import run
+from slow import slowly
 
 import ph_control as phc
 
@@ -135,7 +136,9 @@ def test_a_recording_without_forces_has_no_input(tmp_path):
     assert data.inputs is None and data.outputs.shape == (2, 30)
 
 
-@pytest.mark.parametrize("step", [1 / 2048, 1 / 25600, 1 / 6000, 1 / 44100, 0.001, 0.78125, 0.1220703125, 0.25, 3.2768])
+@pytest.mark.parametrize(
+    "step", [1 / 6000, 0.1220703125, *slowly(1 / 2048, 1 / 25600, 1 / 44100, 0.001, 0.78125, 0.25, 3.2768)]
+)
 def test_a_printed_step_is_the_one_that_was_meant(tmp_path, step):
     f = step * np.arange(1, 2001)
     (data,) = phc.read_uff(written(tmp_path, function(f, np.ones(2000) + 0j, (1, 1), (1, 1))))
@@ -187,8 +190,9 @@ def test_a_fit_takes_the_quantity_of_the_file_and_says_so(tmp_path, code):
     assert result.quantity == QUANTITIES[code] and result.structure == "lossless"
     assert np.allclose(result.modes.r, [1.0, 0.5], rtol=1e-4)
     assert f"  measured        {QUANTITIES[code]}" in result.summary()
-    found = json.loads(run("fit", str(tmp_path / "test.uff"), "--order", "2", "--json").out)
-    assert found["quantity"] == QUANTITIES[code]
+    if code == 8:
+        found = json.loads(run("fit", str(tmp_path / "test.uff"), "--order", "2", "--json").out)
+        assert found["quantity"] == QUANTITIES[code]
 
 
 def test_quantities_of_several_outputs_go_by_their_labels(tmp_path):

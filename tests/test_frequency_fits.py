@@ -8,6 +8,7 @@ import control as ct
 import numpy as np
 import pytest
 from scipy.io import loadmat
+from slow import slowly
 
 import ph_control as phc
 
@@ -342,7 +343,7 @@ def test_a_response_is_tested_for_damping_that_leaves_its_residuals_white(weight
 
 
 @pytest.mark.parametrize("n", [1, 3])
-@pytest.mark.parametrize("relative, floor", [(0.02, 0.0), (0.0, 0.02), (0.02, 0.02)])
+@pytest.mark.parametrize("relative, floor", [(0.02, 0.0), (0.02, 0.02), *slowly((0.0, 0.02))])
 def test_intervals_of_responses_without_weights_hold_what_they_should(n, relative, floor):
     inside = []
     for seed in range(4 // n + 1):
@@ -365,6 +366,7 @@ def test_noise_that_grows_with_the_gain_is_found_in_any_units():
 # --- recordings ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_both_modes_of_the_robot_arm_are_found_and_what_contradicts_is_said(data_folder):
     torque, acceleration = np.loadtxt(data_folder / "measured" / "robot_arm.dat", unpack=True)
     options = {"dt": 1.0, "quantity": "acceleration"}
@@ -385,6 +387,7 @@ def test_all_three_modes_of_the_measured_receptances_are_found(data_folder, colu
     assert result.outcome.name == "NOT_DESCRIBED" and found(result, "LOSSES")
 
 
+@pytest.mark.slow
 def test_all_six_modes_of_the_free_beam_are_found(data_folder):
     lines = (data_folder / "measured" / "meas_point_1.txt").read_text().split()
     measured = np.array([complex(one) for one in lines])

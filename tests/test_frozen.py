@@ -12,9 +12,6 @@ import pytest
 
 import ph_control as phc
 
-# in one process: the results are made once for all tests
-pytestmark = pytest.mark.xdist_group("frozen")
-
 THROUGH = {"pickle": lambda x: pickle.loads(pickle.dumps(x)), "deepcopy": copy.deepcopy, "copy": copy.copy}
 
 

@@ -14,9 +14,6 @@ sys.path.insert(0, str(ROOT))  # the benchmarks are not installed with the packa
 
 from benchmarks import fuzz, fuzz_oracles, fuzz_scales, fuzz_values
 
-# in one process: what is drawn from is made once for all tests
-pytestmark = pytest.mark.xdist_group("fuzz")
-
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):

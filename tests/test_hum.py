@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from slow import slowly
 
 import ph_control as phc
 
@@ -33,7 +34,7 @@ def hums(result):
     return [finding for finding in result.findings if finding.cause.name == "HUM"]
 
 
-@pytest.mark.parametrize("seed, share", [(0, 0.01), (1, 0.05), (2, 0.3)])
+@pytest.mark.parametrize("seed, share", [(0, 0.01), (2, 0.3), *slowly((1, 0.05))])
 def test_hum_is_named_with_its_frequency_and_is_no_mode(seed, share):
     frequency = np.random.default_rng([seed, 3]).uniform(2.5, 8)
     u, y = humming(seed, share, frequency)
@@ -58,6 +59,7 @@ def test_hum_and_its_harmonics_are_named_together():
     np.testing.assert_allclose(sorted(hum.values[0] for hum in hums(result)), [2.9, 5.8, 8.7], atol=4e-4)
 
 
+@pytest.mark.slow
 def test_hum_next_to_a_mode_leaves_the_mode():
     result = phc.pem(humming(2, 0.2, 2.06), dt=STEP)
     assert result.order == 2 and len(hums(result)) == 1
@@ -65,7 +67,7 @@ def test_hum_next_to_a_mode_leaves_the_mode():
     assert np.max(np.abs(errors)) < 4
 
 
-@pytest.mark.parametrize("share", [0.1, 0.5])
+@pytest.mark.parametrize("share", [0.1, *slowly(0.5)])
 def test_an_order_that_is_given_is_that_of_the_modes(share):
     result = phc.pem(humming(3, share, 5.0), 2, dt=STEP)
     assert result.order == 2 and len(hums(result)) == 1

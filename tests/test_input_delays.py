@@ -5,11 +5,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from slow import slowly
 
 import ph_control as phc
-
-# in one process: its records are fitted once for all tests
-pytestmark = pytest.mark.xdist_group("input delays")
 
 DT = 0.5
 LAGS = np.array([8.0, 3.0])  # in units of time
@@ -65,7 +63,7 @@ def test_dead_times_of_inputs_are_found_with_the_plant(fit):
     ("data", "options"),
     [
         ({"samples": 420, "outputs": 2, "noise": 0.05}, {"order": 0, "real_poles": 2}),
-        ({"samples": 1400, "colour": 0.9, "noise": 0.3}, {}),
+        *slowly(({"samples": 1400, "colour": 0.9, "noise": 0.3}, {})),
     ],
 )
 def test_dead_times_are_common_to_all_outputs_and_stand_beside_coloured_noise(data, options):
@@ -74,6 +72,7 @@ def test_dead_times_are_common_to_all_outputs_and_stand_beside_coloured_noise(da
     np.testing.assert_array_equal(result.delay, 0.0)
 
 
+@pytest.mark.slow
 def test_dead_times_are_common_to_all_experiments():
     pairs = [recorded(seed, samples=280) for seed in (2, 3)]
     result = phc.pem(pairs, 0, dt=[DT, DT], noise="white", real_poles=2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from slow import slowly
 
 import ph_control as phc
 
@@ -24,7 +25,7 @@ def response(entries=1, share=0.0, floor=0.0, seed=0):
     return d, zeta, ct.frd((H + size * noise)[:, None], omega, smooth=False)
 
 
-@pytest.mark.parametrize("share, floor", [(0.0, 0.02), (0.01, 0.02)])
+@pytest.mark.parametrize("share, floor", [(0.0, 0.02), *slowly((0.01, 0.02))])
 def test_many_lines_show_the_modes_and_no_ghosts(share, floor):
     d, zeta, data = response(2, share, floor, seed=1)
     result = phc.pem(data)
@@ -97,6 +98,7 @@ def test_overlapping_modes_of_a_ladder_are_fitted_to_a_thousandth():
     assert misfit(H, omega)[0] < 1e-3
 
 
+@pytest.mark.slow
 def test_a_line_with_skin_effect_is_fitted_with_modes_above_the_band():
     omega = np.linspace(0.05, 25.0, 200)
     error, result = misfit(lossy_line(omega), omega)

@@ -14,9 +14,6 @@ from pathlib import Path
 
 import pytest
 
-# in one process: the files are read once for all tests
-pytestmark = pytest.mark.xdist_group("layout")
-
 PACKAGE = Path(__file__).resolve().parents[1] / "ph_control"
 
 # low to high; what lies in the package itself is below all folders

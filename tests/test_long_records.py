@@ -52,6 +52,7 @@ def noise():
     return np.random.default_rng(0).standard_normal((3, SAMPLES))
 
 
+@pytest.mark.slow
 def test_lossless_modes_are_followed_from_a_part_to_the_whole(disk, noise):
     u = disk(noise[0])
     y = disk(moved(noise[0], 0.0, np.ones((1, 3)))[0] + 30.0 * noise[1])
@@ -86,6 +87,7 @@ def test_no_time_is_made_of_a_long_record_before_somebody_asks_for_it(tmp_path, 
     assert peak < 6 * samples
 
 
+@pytest.mark.slow
 def test_damped_modes_of_a_long_record_get_a_damped_answer(disk, noise):
     u = disk(noise[0])
     y = disk(moved(noise[0], 0.01, np.ones((1, 3)))[0] + 0.5 * noise[1])

@@ -4,6 +4,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from reference import DIGITS, exact_motion, exact_steps, share_of_largest
+from slow import slowly
 
 import ph_control as phc
 
@@ -44,7 +45,7 @@ def flat(columns, C):
     return [value for column in columns for value in mp.matrix(C.tolist()) * column]
 
 
-@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize("ratio", [*RATIOS[1::2], *slowly(*RATIOS[::2])])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_all_responses_are_right_to_rounding_of_the_largest_sample(name, ratio):
     sys, rng = SYSTEMS[name](ratio), np.random.default_rng(7)

@@ -261,6 +261,7 @@ def test_the_flexible_robot_arm_has_two_modes(measured):
     assert np.all(fit.damping_ratios > 3 * fit.stderr["damping_ratios"])
 
 
+@pytest.mark.slow
 def test_the_arm_of_a_compact_disc_player_is_explained_by_ten_modes(measured):
     z = loadmat(measured / "CD_player_arm_dat.mat")["CD_player_arm_dat"].T
     z = z[:, :600]
@@ -270,6 +271,7 @@ def test_the_arm_of_a_compact_disc_player_is_explained_by_ten_modes(measured):
     assert np.all(share < 0.13)
 
 
+@pytest.mark.slow
 def test_its_modes_neither_grow_nor_are_a_drift(measured):
     z = loadmat(measured / "CD_player_arm_dat.mat")["CD_player_arm_dat"].T
     z = z[:, :1000]

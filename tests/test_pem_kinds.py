@@ -215,6 +215,7 @@ def free_record(samples, seed, noise, d=D, h=0.1):
     return clean + noise * rng.standard_normal(samples), amplitudes
 
 
+@pytest.mark.slow
 def test_free_motions_are_learned_to_the_cramer_rao_bound():
     samples, noise, h, seeds = 300, 0.2, 0.1, 30
     _, amplitudes = free_record(samples, 0, 0.0)
@@ -315,6 +316,7 @@ def test_wrong_sensor_is_not_called_consistent(quantity):
     assert all(fits[q].outcome.name != "CONSISTENT" for q in QUANTITIES if q != quantity)
 
 
+@pytest.mark.slow
 def test_each_experiment_has_an_offset_of_its_own_with_its_error():
     seeds, constants, errors = 12, (5.0, -2.0), []
     for seed in range(seeds):
@@ -476,6 +478,7 @@ def test_long_records_with_missing_outputs_give_what_complete_ones_give():
     assert (result.stderr["d"] < 1.15 * whole.stderr["d"]).all()
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_samples_times_modes(tmp_path):
     d, r, peaks = np.linspace(0.5, 9.5, 10), np.full(10, 0.3), {}
     for samples in (80_000, 120_000):  # below, the blocks that are looked at at a time take the whole

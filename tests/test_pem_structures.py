@@ -143,6 +143,7 @@ def test_a_roving_hammer_and_roving_sensors_are_one_experiment_each():
     assert np.all(np.abs(found.shapes - PLANT.shapes) < 5 * np.abs(found.stderr["shapes"]))
 
 
+@pytest.mark.slow
 def test_shapes_of_a_roving_hammer_compare_over_the_places_of_the_hits():
     rng, t, parts = np.random.default_rng(5), np.arange(500.0), []
     for k in (0, 1, 0, 1):

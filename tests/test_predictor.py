@@ -375,6 +375,7 @@ def test_residuals_one_step_ahead_are_white_beside_those_of_the_simulation():
     assert "1 step ahead" in analysis.plot().figure.get_suptitle()
 
 
+@pytest.mark.slow
 def test_the_test_of_white_residuals_keeps_its_level_where_the_noise_was_fitted():
     """What was fitted, coefficients of the noise among it, is missing from the residuals one step ahead."""
     rng, p_values = np.random.default_rng(11), []

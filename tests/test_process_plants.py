@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.stats import chi2
+from slow import slowly
 
 import ph_control as phc
 
@@ -37,6 +38,7 @@ def simulated_percent(result, u, x):
     return 100 * (1 - np.linalg.norm(y - x) / np.linalg.norm(x - x.mean()))
 
 
+@pytest.mark.slow
 def test_a_lag_is_found_beside_load_noise_of_its_size_and_its_interval_covers():
     off = []
     for seed in range(3):
@@ -71,7 +73,7 @@ def test_a_lag_that_only_its_dead_time_tells_from_the_load_is_found():
     assert simulated_percent(result, u, x) > 50
 
 
-@pytest.mark.parametrize("seed", [2, 12])
+@pytest.mark.parametrize("seed", [2, *slowly(12)])
 def test_a_dead_time_is_none_of_several_lags(seed):
     # with zeros of their own, lags of a few samples are a rational approximation of it
     rng = np.random.default_rng(seed)
@@ -92,6 +94,7 @@ def test_noise_that_wanders_without_end_is_modelled():
     assert np.min(np.abs(np.exp(result.poles) - 0.8)) < 0.1
 
 
+@pytest.mark.slow
 def test_modes_beside_autoregressive_noise_have_errors_that_hold():
     poles = np.array([-0.01 + 0.6j, -0.02 + 1.4j])
     scores = []

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import EPS, dense_step, long_double_recursion
+from slow import slowly
 
 import ph_control as phc
 from ph_control import ModalForm
@@ -186,7 +187,7 @@ LONG = 34_000  # samples, several of the pieces in which a record is worked off
 
 
 @pytest.mark.parametrize("drive", DRIVES)
-@pytest.mark.parametrize("rule", [("exact", "foh"), ("midpoint", "zoh")])
+@pytest.mark.parametrize("rule", [("exact", "foh"), *slowly((("midpoint", "zoh"),))])
 def test_long_responses_to_hard_inputs_are_right_to_1e_13_of_the_largest_output(drive, rule):
     rng = np.random.default_rng(3)
     step = discretize(phc.modes([0.013, 0.4, 0.40001, 1.3, 2.9], rng.uniform(0.1, 2.0, 5)), Hold(0.9, *rule))
@@ -231,7 +232,7 @@ def test_what_cancels_at_a_transmission_zero_loses_no_more_than_the_digits_that_
 
 
 @pytest.mark.parametrize("time_unit", [1e-9, 1.0, 1e9])
-@pytest.mark.parametrize("amplitude", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("amplitude", [1e-9, *slowly(1.0, 1e9)])
 def test_the_error_scales_with_the_units(time_unit, amplitude):
     rng = np.random.default_rng(5)
     d, r, u = np.array([0.3, 0.7, 2.0]) / time_unit, np.array([1.0, 2.0, 0.5]), rng.standard_normal((1, LONG))
@@ -245,7 +246,7 @@ def test_the_error_scales_with_the_units(time_unit, amplitude):
         assert np.max(np.abs(y - truth)) < 1e-13 * size
 
 
-@pytest.mark.parametrize("n", [1, 2, 30, 300])
+@pytest.mark.parametrize("n", [1, 30, *slowly(2, 300)])
 def test_pieces_of_a_record_join_whatever_the_number_of_modes(n):
     """Many modes leave fewer blocks to a piece."""
     rng = np.random.default_rng(n)

@@ -11,9 +11,6 @@ from pathlib import Path
 import pytest
 from scripts import ROOT, run
 
-# in one process: its code runs once for all tests
-pytestmark = pytest.mark.xdist_group("readme")
-
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 

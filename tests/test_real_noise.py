@@ -4,6 +4,7 @@ import control as ct
 import numpy as np
 import pytest
 from noisy_plants import DELAY, SHARE, SIZES, plant, recording, response
+from slow import slowly
 
 import ph_control as phc
 
@@ -15,7 +16,7 @@ def causes(result):
 # --- frequency responses ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("outputs", "inputs"), [(1, 1), (2, 1)])
+@pytest.mark.parametrize(("outputs", "inputs"), [(1, 1), *slowly((2, 1))])
 def test_noise_that_grows_with_the_gain_adds_no_modes_and_its_intervals_hold(outputs, inputs):
     poles, _ = plant(3, outputs, inputs, 0)
     result = phc.pem(response(3, outputs, inputs, "gain", 0), structure="free")
@@ -63,6 +64,7 @@ def test_intervals_cover_and_classical_damping_stands_beside_forces_that_were_no
     assert np.mean(covered) > 0.75 and sum(rejected) <= 1
 
 
+@pytest.mark.slow
 def test_hits_keep_their_shapes_where_the_recorded_force_is_noisy():
     tower = phc.spring_chain([1.0, 1.0, 1.0], 4e3, ground=[4e3, 0, 0], c=0.4, port=(0, 1, 2))
     rng, fine, hits = np.random.default_rng(3), np.arange(9600) / 3200.0, []
@@ -186,7 +188,9 @@ def test_few_lines_show_no_mode_and_fewer_are_refused():
         phc.pem(ct.frd(data.frdata[:, :, :1], data.omega[:1]))
 
 
-@pytest.mark.parametrize("kind", ["an entry of zeros", "an input of zeros", "an entry of five lines", "a line at 0"])
+@pytest.mark.parametrize(
+    "kind", ["an entry of zeros", "an input of zeros", "a line at 0", *slowly("an entry of five lines")]
+)
 def test_an_entry_that_shows_nothing_does_not_hide_the_modes(kind):
     data = response(3, 3, 2, "constant", 0)
     G, omega = data.frdata.copy(), data.omega.copy()
@@ -207,7 +211,7 @@ def test_an_entry_that_shows_nothing_does_not_hide_the_modes(kind):
 # --- delays and drifts -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("kind", "outputs", "inputs"), [("delay", 1, 1), ("drift", 3, 2)])
+@pytest.mark.parametrize(("kind", "outputs", "inputs"), [("delay", 1, 1), *slowly(("drift", 3, 2))])
 def test_delays_and_drifts_are_named_and_add_no_modes(kind, outputs, inputs):
     u, y = recording(3, outputs, inputs, kind, 0)
     result = phc.pem((u, y), dt=1.0, structure="classical", ports=[(0, 0)])

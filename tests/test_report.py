@@ -134,6 +134,7 @@ def test_page_of_a_response_shows_it_once(tmp_path):
     assert "Frequency responses" in headings and "Measured and predicted" not in headings
 
 
+@pytest.mark.slow
 def test_command_line_writes_the_page(tmp_path):
     rng = np.random.default_rng(2)
     plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(400)
@@ -146,6 +147,7 @@ def test_command_line_writes_the_page(tmp_path):
     assert Page((tmp_path / "fit.html").read_text(encoding="utf-8")).headings[0] == "Identification report: tower"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
 def test_page_opens_in_a_browser(structure, tmp_path):
     structure.report(tmp_path / "fit.html", title="Tower")

@@ -106,6 +106,7 @@ def null_draws(runs, samples, lags, *, e_pole=0.0, u_pole=0.0, missing=0.0):
     return np.array(p_values), np.mean(outside, axis=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples, lags, missing", [(40, 5, 0.0), (60, 6, 0.25), (300, 20, 0.1)])
 def test_p_values_of_white_residuals_are_uniform_and_bands_cover(samples, lags, missing):
     p_values, outside = null_draws(300, samples, lags, missing=missing)

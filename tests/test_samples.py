@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from lossless import lossless_draws
 from reference import DIGITS, EPS, foster_zeros, on_axis
 from scipy.stats import kstest, norm, truncnorm
+from slow import slowly
 
 import ph_control as phc
 from ph_control.identification.uncertainty import draws as module
@@ -196,7 +197,7 @@ def first_marginal(mean, rho):
 
 
 @pytest.mark.parametrize("rounds", [100, 0])
-@pytest.mark.parametrize("rho", [0.9, 0.0, -0.8])
+@pytest.mark.parametrize("rho", [0.9, *slowly(0.0, -0.8)])
 @pytest.mark.parametrize("mean", [(0.0, 0.0), (0.2, 1.5)])
 def test_two_correlated_restricted_components_follow_their_distribution(monkeypatch, mean, rho, rounds):
     monkeypatch.setattr(module, "_ROUNDS", rounds)
@@ -264,6 +265,7 @@ def test_a_move_of_the_sampler_is_a_normal_number_on_an_interval_in_the_tails_to
     assert kstest(moves, truncnorm(low, high, loc=centre).cdf).pvalue > UNLIKELY
 
 
+@pytest.mark.slow
 def test_twenty_weak_weights_are_each_half_a_normal_distribution():
     n, k = 20, 1000
     x = draw(np.zeros(n), np.eye(n), k, 5, nonnegative=np.ones(n, bool))

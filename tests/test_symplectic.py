@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from reference import EPS, random_hamiltonian, random_orthogonal_symplectic, random_symplectic, symplectic_form
 from scipy.io import mmread
 from scipy.linalg import eigh
+from slow import slowly
 
 import ph_control as phc
 from ph_control.symplectic.forms_and_williamson import apply_form, energy_coordinates, skew_normal_form
@@ -326,7 +327,7 @@ def test_a_matrix_of_condition_1e12_has_an_exact_normal_form_whatever_its_spectr
     hold_to_the_bounds_of_large_matrices(Q, d0)
 
 
-@pytest.mark.parametrize("n", [20, 100, 500])
+@pytest.mark.parametrize("n", [20, 100, *slowly(500)])
 def test_a_dense_matrix_of_condition_1e12_has_an_exact_normal_form(n):
     U, _ = np.linalg.qr(np.random.default_rng(n).standard_normal((2 * n, 2 * n)))
     Q = (U * np.logspace(0, 12, 2 * n)) @ U.T

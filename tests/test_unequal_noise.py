@@ -6,9 +6,6 @@ from scipy.signal import lfilter
 
 import ph_control as phc
 
-# in one process: its records are fitted once for all tests
-pytestmark = pytest.mark.xdist_group("unequal noise")
-
 STEP, SAMPLES = 0.3, 800
 POLES = np.array([-0.01 + 1j, -0.03 + 2j, -0.02 + 3.3j])
 SHAPES = np.random.default_rng(5).standard_normal((3, 2))
@@ -39,7 +36,7 @@ def experiments(*sizes, seed=0):
 @pytest.fixture(scope="module")
 def fits():
     """Fits to a quiet and a loud experiment, and to the quiet alone."""
-    data = [experiments(0.02, 0.5, seed=seed) for seed in range(3)]
+    data = [experiments(0.02, 0.5, seed=seed) for seed in range(2)]
     return [(phc.pem(pair, dt=STEP, ports=[(0, 0)]), phc.pem(pair[:1], 3, dt=STEP, ports=[(0, 0)])) for pair in data]
 
 
@@ -92,6 +89,7 @@ def test_files_and_resamples_know_the_noise_of_each_experiment(fits, tmp_path):
     np.testing.assert_allclose(spread, result.stderr["natural_frequencies"], rtol=0.6)
 
 
+@pytest.mark.slow
 def test_the_motion_at_the_start_has_the_units_of_its_experiment():
     rng = np.random.default_rng(3)
     t, data = STEP * np.arange(SAMPLES), []

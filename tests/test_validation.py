@@ -301,6 +301,7 @@ def colour(rng, samples, pole):
     return lfilter([1.0], [1.0, -pole], rng.standard_normal(samples + 200))[200:]
 
 
+@pytest.mark.slow
 def test_p_values_of_a_fit_to_its_own_short_record_are_uniform():
     """8 parameters are fitted to 100 samples: without the correction Ljung and Box reject twice too often or more."""
     p_values = []

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom, kstest
+from slow import slowly
 
 import ph_control as phc
 from ph_control import IdentificationError, StructureError
@@ -309,6 +310,7 @@ def short_data(kind, seed):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["experiments", "free motion", "response"])
 def test_p_values_of_fits_to_short_data_of_every_kind_are_uniform(kind):
     """Of these data a tenth is fitted: a test that does not know would refuse too often, or too seldom."""
@@ -336,7 +338,7 @@ def test_p_values_of_fits_to_short_data_of_every_kind_are_uniform(kind):
 # --- residuals: findings ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("quantity", QUANTITIES)
+@pytest.mark.parametrize("quantity", [QUANTITIES[1], *slowly(QUANTITIES[0], *QUANTITIES[2:])])
 def test_a_missing_mode_shows_in_the_residuals_of_every_kind_of_data(quantity):
     data = experiments(quantity, noise=0.05)
     poor, good = (phc.pem(data, n, dt=STEP, quantity=quantity, noise="white", delay=0.0) for n in (1, 2))
@@ -417,7 +419,7 @@ def test_a_free_motion_has_no_input_and_damping_shows_as_colour():
 # --- the order -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("quantity", QUANTITIES)
+@pytest.mark.parametrize("quantity", [QUANTITIES[2], *slowly(*QUANTITIES[:2])])
 def test_the_order_is_found_in_data_of_every_kind(quantity):
     for data, options in (
         (experiments(quantity, noise=0.1), {"dt": STEP}),
@@ -468,6 +470,7 @@ def test_what_is_held_out_is_counted_in_every_kind_of_data():
     assert most.held_out == 2 * 90
 
 
+@pytest.mark.slow
 def test_models_of_the_rest_know_nothing_of_what_is_held_out():
     """With frequencies from all of the data, modes of noise would foretell part of the noise."""
     data = [recorded(samples=200, noise=0.3, seed=seed) for seed in range(6)]
