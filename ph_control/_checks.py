@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from operator import index
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,8 @@ LARGEST = 1e153  # so that products of two entries, and sums of them, stay in th
 SMALLEST = 1e-300  # so that reciprocals do, and that sixteen digits are kept
 SMALLEST_SQUARED = 1e-153  # so that squares do
 TINY = float(np.finfo(float).tiny)
+
+Choice = TypeVar("Choice", bound=str)
 
 
 def readonly(array: NDArray[Any]) -> NDArray[Any]:
@@ -458,11 +460,11 @@ def sampling_step(dt: Any, *, name: str = "dt") -> float:
     return step
 
 
-def choice(name: str, value: Any, allowed: tuple[str, ...]) -> str:
+def choice(name: str, value: Any, allowed: tuple[Choice, ...]) -> Choice:
     """Check a keyword that names one of a few ways."""
     if not (isinstance(value, str) and value in allowed):
         raise StructureError(f"{name} is {value!r}; it must be one of {', '.join(map(repr, allowed))}")
-    return str(value)
+    return allowed[allowed.index(value)]
 
 
 def whole_number(name: str, value: Any, least: int | None = None, most: float = np.inf) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import redirect_stdout
-from typing import Any
+from typing import Any, Literal, get_args
 
 import control as ct
 import numpy as np
@@ -22,6 +22,8 @@ from ..numerics.rational import transfer_function
 from ..systems.affine import AffineHamiltonian
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import PortHamiltonian, ph
+
+Method = Literal["best", "poly", "frd"]
 
 
 def margin(*args: Any) -> tuple[Any, Any, Any, Any]:
@@ -65,7 +67,7 @@ def margin(*args: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def stability_margins(
-    sysdata: Any, returnall: bool = False, epsw: float = 0.0, method: str = "best"
+    sysdata: Any, returnall: bool = False, epsw: float = 0.0, method: Method = "best"
 ) -> tuple[Any, Any, Any, Any, Any, Any]:
     """Margins of a loop under unity negative feedback, infinite where no change of gain or phase is too much.
 
@@ -116,7 +118,7 @@ def stability_margins(
     """
     _checks.flags(returnall=returnall)
     epsw = float(_checks.real_array("epsw", epsw, 0))
-    _checks.choice("method", method, ("best", "poly", "frd"))
+    _checks.choice("method", method, get_args(Method))
     loop = _lossless(sysdata) if method == "best" else None
     if loop is None:
         return _quietly(ct.stability_margins, sysdata, returnall=returnall, epsw=epsw, method=method)

@@ -10,10 +10,10 @@ import numpy as np
 from scipy import signal
 
 from .. import _checks
+from .._options import RESPONSE_INTERPOLATIONS, ResponseInterpolation
 from .._types import Array, ComplexArray, Mask
 from .._units import common_unit, with_unit
 from ..exceptions import StructureError
-from .spectral_window import HOLDS as INTERSAMPLE
 from .spectral_window import hold_response
 
 _INPUT_FLOOR = 1e-6  # of the largest input power: 60 dB below it a bin holds the leakage of its neighbours
@@ -92,7 +92,7 @@ class SpectralEstimate(ct.FrequencyResponseData):
 
 
 def spectral_estimate(
-    data: ct.TimeResponseData, *, segments: int = 8, intersample: str = "zoh", **names: Any
+    data: ct.TimeResponseData, *, segments: int = 8, intersample: ResponseInterpolation = "zoh", **names: Any
 ) -> SpectralEstimate:
     """Estimate a frequency response from a record of one input and one output.
 
@@ -146,7 +146,7 @@ def spectral_estimate(
     True
     """
     u, y, step = _record(data)
-    _checks.choice("intersample", intersample, INTERSAMPLE)
+    _checks.choice("intersample", intersample, RESPONSE_INTERPOLATIONS)
     _checks.signal_names(names, inputs=1, outputs=1)
     length = _segment_length(len(u), segments)
     pieces = [(u[None, part], y[None, part]) for part in _seen_segments(y, length)]

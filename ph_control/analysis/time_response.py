@@ -14,9 +14,10 @@ from control.timeresp import TimeResponseList
 from numpy.typing import ArrayLike
 
 from .. import _checks
+from .._options import DISCRETISATIONS, INTERPOLATIONS, Discretisation, Interpolation
 from .._types import Array, ComplexArray
 from ..exceptions import StructureError
-from ..modal.discretization import INTERSAMPLE, METHODS, Hold
+from ..modal.discretization import Hold
 from ..modal.modal_form import imaginary
 from ..systems.base import LosslessSystem, in_normal_form
 from .other_systems import MOST_INSTANTS, as_system, check_exact, held, instants_of, responding
@@ -63,8 +64,8 @@ def forced_response(
     return_states: bool | None = None,
     squeeze: bool | None = None,
     *,
-    method: str = "exact",
-    intersample: str = "foh",
+    method: Discretisation = "exact",
+    intersample: Interpolation = "foh",
     **aliases: Any,
 ) -> Any:
     """Response to an input signal and an initial state.
@@ -155,8 +156,8 @@ def step_response(
     return_states: bool = False,
     squeeze: bool | None = None,
     *,
-    method: str = "exact",
-    intersample: str = "zoh",
+    method: Discretisation = "exact",
+    intersample: Interpolation = "zoh",
     **aliases: Any,
 ) -> Any:
     """Response to a unit step at each input.
@@ -212,7 +213,7 @@ def step_response(
         return _traces(sys, t, one, "Step", shown, method, intersample, transpose, squeeze, return_states)
 
     def of_other(sys: Any, t: Array) -> TimeResponseData:
-        _checks.choice("intersample", intersample, INTERSAMPLE)
+        _checks.choice("intersample", intersample, INTERPOLATIONS)
         picked = _chosen("input", input_indices, sys.ninputs), _chosen("output", output_indices, sys.noutputs)
         return responding(
             ct.step_response, sys, t, _initial_state(initial_state, sys.nstates), *picked, transpose=transpose,
@@ -233,7 +234,7 @@ def impulse_response(
     return_states: bool = False,
     squeeze: bool | None = None,
     *,
-    method: str = "exact",
+    method: Discretisation = "exact",
     **aliases: Any,
 ) -> Any:
     """Response to a unit impulse at each input: the free motion from `z = B e_j`.
@@ -292,7 +293,7 @@ def initial_response(
     return_states: bool = False,
     squeeze: bool | None = None,
     *,
-    method: str = "exact",
+    method: Discretisation = "exact",
     **aliases: Any,
 ) -> Any:
     """Free motion from an initial state.
@@ -347,7 +348,7 @@ def initial_response(
 Run = Callable[[Any, Array], TimeResponseData]
 
 
-def _each(sysdata: Any, run: Run, of_other: Run, method: str, timepts: Any, samples: int | None) -> Any:
+def _each(sysdata: Any, run: Run, of_other: Run, method: Discretisation, timepts: Any, samples: int | None) -> Any:
     """Run one system, or each of a list on common instants: those of the package, or others."""
     several = isinstance(sysdata, list | tuple)
     if several and not sysdata:
@@ -383,7 +384,7 @@ def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) 
 
 def _traces(
     sys: LosslessSystem, t: Array, one: Callable[[int], tuple[Array, Any]], kind: str, indices: tuple[Any, Any],
-    method: str, intersample: str, transpose: bool, squeeze: bool | None, return_states: bool,
+    method: Discretisation, intersample: Interpolation, transpose: bool, squeeze: bool | None, return_states: bool,
 ) -> TimeResponseData:  # fmt: skip
     """Responses to one input at a time, as python-control lays them out."""
     rows, one_output = _selected("output", indices[1], sys.noutputs)
@@ -446,10 +447,16 @@ class _Problem:
     """One input and one initial state for one system; outputs and states are separate work."""
 
     def __init__(
-        self, sys: LosslessSystem, t: Array, u: Array, initial_state: Any, method: str, intersample: str
-    ) -> None:
-        _checks.choice("method", method, METHODS)
-        _checks.choice("intersample", intersample, INTERSAMPLE)
+        self,
+        sys: LosslessSystem,
+        t: Array,
+        u: Array,
+        initial_state: Any,
+        method: Discretisation,
+        intersample: Interpolation,
+    ) -> None:  # fmt: skip
+        _checks.choice("method", method, DISCRETISATIONS)
+        _checks.choice("intersample", intersample, INTERPOLATIONS)
         # Euler's rule takes the input at the start of a step, whatever it does until the next
         hold, h = "zoh" if method == "euler" else intersample, _checks.time_step(t) or 1.0
         self.sys, self.u, self.rule = sys, u, Hold(h, method, hold)

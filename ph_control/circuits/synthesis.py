@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
+from .._options import CIRCUIT_FORMS, IMMITTANCES, CircuitForm, Immittance
 from .._types import Array
 from ..exceptions import StructureError
 from .controlled import controlled_sources
@@ -14,13 +15,15 @@ from .elements import Element, Netlist
 from .expansions import continued_fraction, continued_fraction_at_zero, reciprocal
 from .resonators import Resonator, Resonators, resonators_of
 
-FORMS = ("foster1", "foster2", "cauer1", "cauer2", "state-space")
-KINDS = ("admittance", "impedance")
-_DIRECT = {"admittance": "foster2", "impedance": "foster1"}  # the partial fractions of the transfer function itself
+# the partial fractions of the transfer function itself
+_DIRECT: dict[Immittance, CircuitForm] = {
+    "admittance": "foster2",
+    "impedance": "foster1",
+}
 _TITLES = {"foster1": "Foster I", "foster2": "Foster II", "cauer1": "Cauer I", "cauer2": "Cauer II"}
 
 
-def netlist(sys: Any, form: str | None = None, *, kind: str = "admittance") -> Netlist:
+def netlist(sys: Any, form: CircuitForm | None = None, *, kind: Immittance = "admittance") -> Netlist:
     """Circuit with the transfer function of a system: positive elements, or controlled sources.
 
     Parameters
@@ -83,8 +86,8 @@ def netlist(sys: Any, form: str | None = None, *, kind: str = "admittance") -> N
     >>> [(one.name, round(one.value, 6), one.nodes) for one in ladder.elements]
     [('L1', 0.2, ('1', '2')), ('C1', 0.757576, ('2', '0')), ('L2', 1.111224, ('2', '3')), ('C2', 0.742424, ('3', '0'))]
     """
-    kind = _checks.choice("kind", kind, KINDS)
-    form = _DIRECT[kind] if form is None else _checks.choice("form", form, FORMS)
+    kind = _checks.choice("kind", kind, IMMITTANCES)
+    form = _DIRECT[kind] if form is None else _checks.choice("form", form, CIRCUIT_FORMS)
     if form == "state-space":
         return controlled_sources(sys, kind)
     parts, one_port = resonators_of(sys)

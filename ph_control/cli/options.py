@@ -11,13 +11,16 @@ import textwrap
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
+from .._options import (
+    DECIMAL_MARKS,
+    DISCRETISATIONS,
+    FREQUENCY_UNITS,
+    INTERPOLATIONS,
+    MAGNITUDE_UNITS,
+    NETWORK_PARAMETERS,
+    PHASE_UNITS,
+)
 from .outcome import BAD, complain
-
-# as the library has them; importing it would cost more than showing a help (a test holds the two together)
-METHODS = ("exact", "midpoint", "euler")
-INTERSAMPLE = ("zoh", "foh")
-PARAMETERS = ("Z", "Y", "S")
-FREQUENCY_UNITS = ("rad/s", "Hz", "kHz", "MHz", "GHz")
 
 _WIDTH = 88  # characters of running text in a help
 _NUMBER = re.compile(r"^-\.?[0-9]")
@@ -180,7 +183,7 @@ def add_recording(parser: Parser) -> None:
         help="unit of time: ns, us, ms, s, min or h (default: from the column name)",
     )  # fmt: skip
     table.add_argument("--delimiter", metavar="CHARACTER", help="column separator (default: detected)")
-    table.add_argument("--decimal", choices=(".", ","), help="decimal mark (default: detected)")
+    table.add_argument("--decimal", choices=DECIMAL_MARKS, help="decimal mark (default: detected)")
     table.add_argument(
         "--header", action=argparse.BooleanOptionalAction, help="whether the first row holds names (default: detected)"
     )
@@ -197,21 +200,21 @@ def add_recording(parser: Parser) -> None:
         part = _PARTS.get(role, role)
         response.add_argument(f"--{role}", metavar="COLUMN", help=f"column of the {part}")
     response.add_argument("--frequency-unit", choices=FREQUENCY_UNITS, help="default: from the column name")
-    response.add_argument("--magnitude-unit", choices=("linear", "dB"), help="default: from the column name, or linear")
-    response.add_argument("--phase-unit", choices=("deg", "rad"), help="default: from the column name")
+    response.add_argument("--magnitude-unit", choices=MAGNITUDE_UNITS, help="default: from the column name, or linear")
+    response.add_argument("--phase-unit", choices=PHASE_UNITS, help="default: from the column name")
     response.add_argument(
-        "--parameter", choices=PARAMETERS,
+        "--parameter", choices=NETWORK_PARAMETERS,
         help="Touchstone files: impedance Z (default), admittance Y or scattering S",
     )  # fmt: skip
     response.add_argument("--weights", metavar="COLUMN", help="column of weights, proportional to 1/variance")
 
 
 def add_meeting(
-    parser: argparse._ActionsContainer, states: Sequence[str], auto: str, holds: Sequence[str] = INTERSAMPLE
+    parser: argparse._ActionsContainer, states: Sequence[str], auto: str, holds: Sequence[str] = INTERPOLATIONS
 ) -> None:
     """How a model meets samples, and what the default of the input between them means."""
     parser.add_argument(
-        "--method", choices=METHODS, default="exact",
+        "--method", choices=DISCRETISATIONS, default="exact",
         help="exact (default); midpoint and euler only for data made by these rules",
     )  # fmt: skip
     parser.add_argument(

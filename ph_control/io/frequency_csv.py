@@ -12,6 +12,7 @@ from control import FrequencyResponseData
 from scipy.special import cosdg, sindg
 
 from .. import _checks
+from .._options import MAGNITUDE_UNITS, PHASE_UNITS, DecimalMark, FrequencyUnit, MagnitudeUnit, PhaseUnit
 from .._types import Array, ComplexArray
 from .._units import with_unit
 from ..exceptions import StructureError, printable
@@ -24,7 +25,7 @@ Columns = Column | Sequence[Column] | Sequence[Sequence[Column]]
 
 FREQUENCY_UNITS = {"rad/s": 1.0, "Hz": 2 * np.pi, "kHz": 2e3 * np.pi, "MHz": 2e6 * np.pi, "GHz": 2e9 * np.pi}
 UNITS = {
-    "frequency_unit": tuple(FREQUENCY_UNITS), "magnitude_unit": ("linear", "dB"), "phase_unit": ("deg", "rad")
+    "frequency_unit": tuple(FREQUENCY_UNITS), "magnitude_unit": MAGNITUDE_UNITS, "phase_unit": PHASE_UNITS
 }  # fmt: skip
 
 _ANGULAR = ("omega", "w", "ω", "angular frequency")
@@ -86,12 +87,12 @@ def read_frequency_csv(
     phase: Columns | None = None,
     real: Columns | None = None,
     imag: Columns | None = None,
-    frequency_unit: str | None = None,
-    magnitude_unit: str | None = None,
-    phase_unit: str | None = None,
+    frequency_unit: FrequencyUnit | None = None,
+    magnitude_unit: MagnitudeUnit | None = None,
+    phase_unit: PhaseUnit | None = None,
     header: bool | None = None,
     delimiter: str | None = None,
-    decimal: str | None = None,
+    decimal: DecimalMark | None = None,
     skiprows: int | None = None,
     comment: str | None = None,
 ) -> FrequencyResponseData:

@@ -12,6 +12,7 @@ import numpy as np
 from control import FrequencyResponseData, TimeResponseData
 
 from .. import _checks
+from .._options import FrequencyUnit
 from .._types import Array, ComplexArray
 from .._units import checked_unit
 from ..analysis.time_grid import printed_step
@@ -127,7 +128,7 @@ def read_frequency_mat(
     frequency: str,
     response: str | Sequence[str],
     *,
-    frequency_unit: str | None = None,
+    frequency_unit: FrequencyUnit | None = None,
 ) -> FrequencyResponseData:
     r"""Read measured frequency responses from a MATLAB file: complex arrays, also those in structures, by their names.
 

@@ -12,6 +12,7 @@ import numpy as np
 from control import TimeResponseData
 
 from .. import _checks
+from .._options import DecimalMark
 from .._types import Array
 from .._units import checked_unit, with_unit
 from ..analysis.time_grid import printed_step
@@ -36,7 +37,7 @@ def read_csv(
     time_unit: str | None = None,
     header: bool | None = None,
     delimiter: str | None = None,
-    decimal: str | None = None,
+    decimal: DecimalMark | None = None,
     skiprows: int | None = None,
     comment: str | None = None,
 ) -> TimeResponseData:

@@ -12,19 +12,20 @@ import numpy as np
 from control import FrequencyResponseData
 
 from .. import _checks
+from .._options import NETWORK_PARAMETERS, NetworkParameter
 from ..exceptions import FileFormatError, MissingPackageError, StructureError
 from .files import read_bytes, source_name
 from .frequency_csv import response_matrix
 from .tables.text_table import text_lines
-
-PARAMETERS = ("Z", "Y", "S")
 
 # signals that drive the ports, and what answers
 _SIGNALS = {"Z": ("i", "v"), "Y": ("v", "i"), "S": ("a", "b")}
 _SINGULAR = 1e-12  # of I - S or I + S: no digits of the immittance would be left
 
 
-def read_touchstone(path: str | os.PathLike[str] | BinaryIO | TextIO, *, parameter: str = "Z") -> FrequencyResponseData:
+def read_touchstone(
+    path: str | os.PathLike[str] | BinaryIO | TextIO, *, parameter: NetworkParameter = "Z"
+) -> FrequencyResponseData:
     r"""Read a measured network from a Touchstone file (.s1p, .s2p, ..., .ts) as impedances, admittances or waves.
 
     Parameters
@@ -74,7 +75,7 @@ def read_touchstone(path: str | os.PathLike[str] | BinaryIO | TextIO, *, paramet
     >>> data.frdata[0, 0].real.round(6), data.omega.round(-3)
     (array([ 50., 150.]), array([ 6283000., 12566000.]))
     """
-    _checks.choice("parameter", parameter, PARAMETERS)
+    _checks.choice("parameter", parameter, NETWORK_PARAMETERS)
     name = source_name(path)
     text = "\n".join(text_lines(read_bytes(path), name))
     network = _network(text, name)

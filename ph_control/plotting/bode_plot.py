@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import matrix_balance
 
 from .. import _checks
+from .._options import AxisScale, ResponseInterpolation
 from .._types import Array
 from .._units import parted, unit_for
 from ..analysis.margins import margin
@@ -55,12 +56,12 @@ def bode_plot(
     *,
     data: ct.TimeResponseData | ct.FrequencyResponseData | None = None,
     segments: int = 8,
-    intersample: str = "zoh",
+    intersample: ResponseInterpolation = "zoh",
     confidence: Any = None,
     level: float = 0.95,
     omega_limits: ArrayLike | None = None,
     omega_num: int | None = None,
-    scale: str = "log",
+    scale: AxisScale = "log",
     Hz: bool = False,
     dB: bool = True,
     deg: bool = True,
@@ -242,7 +243,7 @@ def bode_data(
     data: Any = None,
     *,
     segments: int = 8,
-    intersample: str = "zoh",
+    intersample: ResponseInterpolation = "zoh",
     omega_limits: ArrayLike | None = None,
     omega_num: int | None = None,
     unit: float = 1.0,
@@ -251,7 +252,7 @@ def bode_data(
     label: str | Sequence[str] | None = None,
     data_label: str | None = None,
     unit_name: str = "",
-    scale: str | None = "log",
+    scale: AxisScale | None = "log",
 ) -> DrawnResponses:
     """Compute what `bode_plot` draws; its arguments, and the unit of frequencies with its size in rad per unit time."""
     if omega_num is not None:
@@ -276,7 +277,9 @@ def bode_data(
     return DrawnResponses(curves, dots, axis, first.output_labels, first.input_labels, title)
 
 
-def _measurement(data: Any, sys: Any, segments: int, intersample: str, label: str | None) -> Curve | None:
+def _measurement(
+    data: Any, sys: Any, segments: int, intersample: ResponseInterpolation, label: str | None
+) -> Curve | None:
     """The dots: a frequency response as it is, or the spectral estimate of a record."""
     if data is None:
         return None

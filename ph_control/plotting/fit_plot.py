@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import control as ct
 import matplotlib as mpl
@@ -38,7 +38,7 @@ def fit_plot(
     time_unit: str | None = None,
     output_label: str | None = None,
     output_unit: str | None = None,
-    detail: str | ArrayLike | None = "auto",
+    detail: Literal["auto"] | ArrayLike | None = "auto",
     ax: Any = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:

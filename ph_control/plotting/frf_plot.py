@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import control as ct
 import numpy as np
@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 
 from .. import _checks
 from .._display import counted
+from .._options import RESPONSE_INTERPOLATIONS, AxisScale, ResponseInterpolation
 from .._types import Array, ComplexArray, Indices
 from .._units import unit_for
-from ..analysis.spectral_estimate import INTERSAMPLE, hold_response, response_matrix_estimate
+from ..analysis.spectral_estimate import hold_response, response_matrix_estimate
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics.rational import poles as poles_of
@@ -64,7 +65,8 @@ _HEIGHTS = 2.8, 5.2  # of a figure, inches
 _MARKED = 10  # decades of frequency, beyond which none is marked
 _MARK: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5.0, "markerfacecolor": "white", "zorder": 4}
 ESTIMATED = "measured (spectral estimate)"
-PARTS = {"magnitude-phase": POLAR, "real-imaginary": CARTESIAN}
+Parts = Literal["magnitude-phase", "real-imaginary"]
+PARTS: dict[Parts, tuple[str, ...]] = {"magnitude-phase": POLAR, "real-imaginary": CARTESIAN}
 MODEL_LINE: dict[str, Any] = {"color": "C0", "linewidth": 1.2, "zorder": 3}
 
 
@@ -77,13 +79,13 @@ def frf_plot(
     omega_limits: ArrayLike | None = None,
     Hz: bool | None = None,
     segments: int = 8,
-    intersample: str | None = None,
+    intersample: ResponseInterpolation | None = None,
     confidence: bool = False,
     level: float = 0.95,
     time_unit: str | None = None,
     gain_unit: str | Sequence[str] | None = None,
-    scale: str | None = None,
-    parts: str = "magnitude-phase",
+    scale: AxisScale | None = None,
+    parts: Parts = "magnitude-phase",
     negative_imaginary: bool | None = None,
     ax: Any = None,
     **style: Unpack[LineStyle],
@@ -187,7 +189,7 @@ def nyquist_plot(
     omega_limits: ArrayLike | None = None,
     Hz: bool | None = None,
     segments: int = 8,
-    intersample: str | None = None,
+    intersample: ResponseInterpolation | None = None,
     negative_imaginary: bool | None = None,
     time_unit: str | None = None,
     gain_unit: str | Sequence[str] | None = None,
@@ -357,7 +359,7 @@ def _upper(poles: Any) -> ComplexArray:
 def measured_by(model: Any, data: Any, source: ModelSource, segments: int, intersample: str | None) -> list[Curve]:
     """What was measured: responses as they are, one estimate of all recordings."""
     hold = getattr(model, "intersample", "zoh") if intersample is None else intersample
-    _checks.choice("intersample", hold, INTERSAMPLE)
+    _checks.choice("intersample", hold, RESPONSE_INTERPOLATIONS)
     _checks.whole_number("segments", segments, 1)
     responses, recordings = [], []
     for one in measurements_of(model, data):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import control as ct
 import numpy as np
@@ -21,6 +21,8 @@ from ..numerics.rational import poles as poles_of
 from ..systems.port_hamiltonian import modes as modes_of
 from .inputs import Subject, is_fit, subjects_of, title_of
 from .style import LineStyle, Look, MarkStyle, Picture, frequency_axis, labelled, picture, plain
+
+WeightKind = Literal["kappa", "r"]
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -49,7 +51,7 @@ _AXIS: dict[str, Any] = {"color": "0.4", "linewidth": 0.8, "zorder": 1}
 def modes_plot(
     sysdata: Any,
     *,
-    quantity: str = "kappa",
+    quantity: WeightKind = "kappa",
     level: float = 0.95,
     Hz: bool = False,
     time_unit: str | None = None,
@@ -122,7 +124,7 @@ def modes_plot(
     """
     time_unit = unit_for(time_unit, sysdata)
     unit, unit_name = frequency_axis(Hz, time_unit)
-    _checks.choice("quantity", quantity, ("kappa", "r"))
+    _checks.choice("quantity", quantity, get_args(WeightKind))
     subjects = subjects_of(sysdata, label)
     tables = [mode_table(one, quantity, level) for one in subjects]
     system = subjects[0].system

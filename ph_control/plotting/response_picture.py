@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from .. import _checks
+from .._options import AXIS_SCALES
 from .._types import Array, ComplexArray, Indices, Mask
 from .._units import parted
 from .style import BAND, DOTS, ZERO, Look, Picture, PlainLogFormatter, gain_label, labelled, picture, plain
@@ -78,7 +79,7 @@ def is_logarithmic(
     Not so where the modes are all in the upper part of an evenly spaced grid; of a plant without modes always.
     """
     if scale is not None:
-        return _checks.choice("scale", scale, ("log", "linear")) == "log"
+        return _checks.choice("scale", scale, AXIS_SCALES) == "log"
     if modes is not None and not len(modes):
         return 0 < low < high / _NARROW
     grid = np.zeros(0) if grid is None else grid[grid > 0]

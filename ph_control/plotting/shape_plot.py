@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import control as ct
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from .. import _checks
+from .._options import ResponseInterpolation
 from .._types import Array, ComplexArray, Indices
 from .._units import DERIVATIVES, parted, unit_for
 from ..exceptions import StructureError
@@ -41,6 +42,8 @@ from .style import (
     told_gain_units,
 )
 
+Direction = Literal["x", "y", "z", "-x", "-y", "-z"]
+
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
@@ -59,7 +62,7 @@ def shape_plot(
     shapes: Any,
     positions: ArrayLike | None = None,
     *,
-    directions: str | Sequence[Any] | None = None,
+    directions: Direction | Sequence[Any] | None = None,
     nodes: ArrayLike | None = None,
     lines: ArrayLike | None = None,
     modes: Sequence[int] | None = None,
@@ -260,7 +263,7 @@ def circle_plot(
     input: int | str | None = None,
     Hz: bool | None = None,
     segments: int = 8,
-    intersample: str | None = None,
+    intersample: ResponseInterpolation | None = None,
     time_unit: str | None = None,
     gain_unit: str | None = None,
     ax: Any = None,

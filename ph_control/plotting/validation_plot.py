@@ -19,6 +19,7 @@ from scipy.special import ndtri
 
 from .. import _checks
 from .._display import p_value
+from .._options import AxisScale
 from .._types import Array, ComplexArray, Indices, Mask
 from .._units import unit_for
 from ..exceptions import StructureError
@@ -341,7 +342,7 @@ def stabilisation_plot(
     least_mac: float = 0.95,
     omega_limits: ArrayLike | None = None,
     Hz: bool | None = None,
-    scale: str | None = None,
+    scale: AxisScale | None = None,
     time_unit: str | None = None,
     ax: Any = None,
     **style: Unpack[FrameStyle],

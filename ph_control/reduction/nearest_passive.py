@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import control as ct
 import numpy as np
 from scipy.linalg import block_diag
 
 from .. import _checks
+from .._options import PORT_KINDS, PortKind
 from .._threads import on_one_thread
-from .._types import Array, ComplexArray
+from .._types import Array, ArrayLike, ComplexArray
 from .._units import DERIVATIVES, with_unit
-from ..analysis.passivity import KINDS, PassivityReport, passivity
+from ..analysis.passivity import PassivityReport, passivity
 from ..exceptions import ConditioningWarning, StructureError
 from ..modal.general_form import real_matrices
 from ..modal.positive_real import Split, split_axis
@@ -24,13 +25,17 @@ from ..systems.passive_form import joined, lossless_parts, minimal_part
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 from .closest_passive import Closest, FixedPoles, closest_passive
 
+Weight = Literal["covariance", "h2"]
+
 _ACTIVE = 1e-12  # of its size: what a feedthrough that cannot move may lack of passivity
 _RIDGE = 1e-13  # of the largest: least information on what moves
 _STEADY = (0.1, 0.3, 1.0, 3.0)  # standard errors of damping ratios that growing poles may get: the cheapest is taken
 
 
 @on_one_thread
-def nearest_passive(sys_or_result: Any, *, weight: Any = None, kind: str = "immittance") -> Any:
+def nearest_passive(
+    sys_or_result: Any, *, weight: Weight | tuple[ArrayLike, ArrayLike] | None = None, kind: PortKind = "immittance"
+) -> Any:
     """Find the passive model next to a system or a fit, with the same poles.
 
     Parameters
@@ -77,7 +82,7 @@ def nearest_passive(sys_or_result: Any, *, weight: Any = None, kind: str = "immi
     >>> phc.passivity(model).is_passive, bool(0 < model.cost < ct.norm(active, 2) ** 2)
     (True, True)
     """
-    _checks.choice("kind", kind, KINDS)
+    _checks.choice("kind", kind, PORT_KINDS)
     fitted = hasattr(sys_or_result, "covariance") and hasattr(sys_or_result, "residues")
     given = _weight(weight, "covariance" if fitted else "h2")
     if given == "covariance" and not fitted:
@@ -93,7 +98,7 @@ def nearest_passive(sys_or_result: Any, *, weight: Any = None, kind: str = "immi
 
 def _weight(weight: Any, default: str) -> Any:
     if weight is None or isinstance(weight, str):
-        return default if weight is None else _checks.choice("weight", weight, ("covariance", "h2"))
+        return default if weight is None else _checks.choice("weight", weight, get_args(Weight))
     if not isinstance(weight, tuple | list) or len(weight) != 2:
         raise StructureError(
             f"weight is {_checks.shown(weight)}; pass 'covariance', 'h2', or a pair (omega, weights) of arrays"
@@ -111,7 +116,7 @@ def _weight(weight: Any, default: str) -> Any:
 # --- systems ------------------------------------------------------------------------------------------------------
 
 
-def _of_system(sys: Any, weight: Any, kind: str) -> Any:
+def _of_system(sys: Any, weight: Any, kind: PortKind) -> Any:
     report = passivity(sys, kind)
     _refuse_unstable(report)
     plain = state_space(sys)
@@ -145,7 +150,7 @@ def _refuse_unstable(report: PassivityReport) -> None:
         )
 
 
-def _passive_model(sys: Any, plain: ct.StateSpace, kind: str, cost: float) -> Any:
+def _passive_model(sys: Any, plain: ct.StateSpace, kind: PortKind, cost: float) -> Any:
     """The model as it is given away, judged by the exact test."""
     if kind == "scattering":
         model: Any = ct.ss(plain)
@@ -255,7 +260,7 @@ class _PortMap:
         return moved[: m * n].reshape(m, n), moved[m * n :].reshape(m, m)
 
 
-def _of_fit(result: Any, weight: Any, kind: str) -> Any:
+def _of_fit(result: Any, weight: Any, kind: PortKind) -> Any:
     found, cost = passive_fit(result, weight, kind)
     model: Any = found.observed_system if kind == "scattering" else found.system
     if cost or kind == "scattering":
@@ -270,7 +275,7 @@ def _unchanged(result: Any) -> Any:
     return with_unit(model, result.time_unit)
 
 
-def passive_fit(result: Any, weight: Any, kind: str) -> tuple[Any, float]:
+def passive_fit(result: Any, weight: Any, kind: PortKind) -> tuple[Any, float]:
     """A fit with passive residues and feedthrough, and its squared distance."""
     if (result.poles.real < 0).all():
         return _moved(result, weight, kind, 0.0)
@@ -285,7 +290,7 @@ def passive_fit(result: Any, weight: Any, kind: str) -> tuple[Any, float]:
     return min(found, key=lambda one: one[1])
 
 
-def _moved(result: Any, weight: Any, kind: str, steady: float) -> tuple[Any, float]:
+def _moved(result: Any, weight: Any, kind: PortKind, steady: float) -> tuple[Any, float]:
     """The fit of poles that decay by so many standard errors, made passive."""
     pairs = _driving_points(result, kind)
     start, covariance, cost = _decaying(result, steady)

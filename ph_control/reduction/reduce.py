@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from .. import _checks
+from .._options import REDUCTIONS, Reduction
 from .._threads import on_one_thread
 from .._types import Array
 from ..exceptions import StructureError
@@ -25,8 +26,6 @@ from .closest_passive import FixedPoles, closest_passive
 from .modal_truncation import Parts, Wanted, lossless_truncated, matrices_of, projected, truncated, with_unit_energy
 from .optimal import Full, Matrices, best_passive, stationary_models
 
-METHODS = ("modal", "balanced", "h2")
-
 _TOLERANCE = 1e-8  # relative, of norms
 _UNDAMPED = 1e-12  # damping ratio of what is called undamped
 _BEYOND = 1.5  # times the end of the band: up to where modes of a large structure are computed
@@ -39,7 +38,7 @@ def reduce(
     *,
     tolerance: float | None = None,
     band: Any = None,
-    method: str = "modal",
+    method: Reduction = "modal",
     residual_modes: bool = True,
 ) -> PortHamiltonian:
     """Approximate a passive system by a smaller one that is port-Hamiltonian.
@@ -104,7 +103,7 @@ def reduce(
     >>> phc.reduce(lossless, band=(0.0, 1.5)).is_lossless
     True
     """
-    _checks.choice("method", method, METHODS)
+    _checks.choice("method", method, REDUCTIONS)
     _checks.flags(residual_modes=residual_modes)
     if isinstance(sys, SecondOrderSystem):
         return _of_structure(sys, order, tolerance, band, method, residual_modes)
@@ -170,7 +169,7 @@ def _of_lossless(system: PortHamiltonian, wanted: Wanted, tolerance: float | Non
 
 
 def _of_structure(
-    sys: SecondOrderSystem, order: Any, tolerance: Any, band: Any, method: str, residual_modes: bool
+    sys: SecondOrderSystem, order: Any, tolerance: Any, band: Any, method: Reduction, residual_modes: bool
 ) -> PortHamiltonian:
     """By a model of more modes than are kept, whose difference from the structure is bounded below those left out."""
     if tolerance is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
 _LARGEST = 100_000  # degrees of freedom of a lifted system, whose matrices have 4 m^2 entries
 
 
-def lift(sys: Any, m: int, *, padding: ArrayLike | str | None = None) -> PortHamiltonian:
+def lift(sys: Any, m: int, *, padding: ArrayLike | Literal["ones"] | None = None) -> PortHamiltonian:
     """System of m degrees of freedom with the same filter.
 
     Theorem "(i) for any m >= n ..." of the paper's section on restrictions of higher dimensional systems:

@@ -12,6 +12,7 @@ from scipy.linalg import svdvals
 
 from .. import _checks
 from .._display import latex_matrix
+from .._options import STORAGES, Discretisation, Interpolation, Storage
 from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import ConditioningWarning, NotLosslessError, StructureError
 from ..modal import foster_test
@@ -37,7 +38,6 @@ from .passive_form import Conversion, in_port_order, loses_energy, parts_of_reso
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
 _SIGNALS = ("inputs", "outputs", "states")
 _UNCERTAIN = 1e-3  # of a frequency: what rounding of Q may move it by without a word
-STORAGES = ("auto", "available", "required", "mean")
 _OF_Q = ("_proven", "_energy", "_frequencies", "S")  # views that take O(n^3) steps, of Q alone
 _KEYWORDS = ("R", "P", "S", "N", "J", "sensors", "storage", "lossless", "ports", "method", "intersample")
 _ADVICE = {
@@ -598,11 +598,11 @@ def ph(
     N: ArrayLike | None = None,
     J: ArrayLike | None = None,
     sensors: Any = None,
-    storage: str = "auto",
+    storage: Storage = "auto",
     lossless: bool = False,
     ports: Any = None,
-    method: str | None = None,
-    intersample: str = "zoh",
+    method: Discretisation | None = None,
+    intersample: Interpolation = "zoh",
     **names: Any,
 ) -> PortHamiltonian:
     """Make a port-Hamiltonian system.
@@ -737,7 +737,13 @@ def _refuse_sampling(method: Any, intersample: Any) -> None:
 
 
 def _of_system(
-    source: Any, storage: str, lossless: bool, ports: Any, method: str | None, intersample: str, names: dict[str, Any]
+    source: Any,
+    storage: str,
+    lossless: bool,
+    ports: Any,
+    method: Discretisation | None,
+    intersample: Interpolation,
+    names: dict[str, Any],
 ) -> PortHamiltonian:
     """Port-Hamiltonian form of any linear system."""
     sampled = isinstance(source, ct.InputOutputSystem) and source.isdtime(strict=True)
@@ -792,7 +798,7 @@ def _as_it_is(source: Any, storage: str, lossless: bool, ports: Any, names: dict
 
 
 def _lossless_modes(
-    system: Any, required: bool, method: str | None, intersample: str
+    system: Any, required: bool, method: Discretisation | None, intersample: Interpolation
 ) -> tuple[ModalForm | None, NotLosslessError | None]:
     """Modes of a system if it is lossless, or why it is not, which is raised where that is required."""
     try:

@@ -26,9 +26,18 @@ from typing import Any
 
 import ph_control as phc
 
+from ..._options import (
+    CRITERIA,
+    INITIAL_STATES,
+    NOISE_KINDS,
+    REPRESENTATIONS,
+    RESPONSE_INTERPOLATIONS,
+    SENSOR_QUANTITIES,
+    STRUCTURE_CHOICES,
+)
 from ...exceptions import IdentificationError, StructureError
 from ..inputs import measurements, read_model, system_name_of
-from ..options import INTERSAMPLE, Parser, add_meeting, add_recording, add_written, order, system_name, within
+from ..options import Parser, add_meeting, add_recording, add_written, order, system_name, within
 from ..outcome import DONE, INTERRUPTED, NO, NoError, ProgressLine, complain, emit, in_shell_terms
 from ..outputs import (
     check_files,
@@ -42,12 +51,6 @@ from ..outputs import (
 )
 
 USAGE = "RECORDING [RECORDING ...] [options]"
-
-CRITERIA = ("bic", "aicc", "aic", "holdout")
-NOISES = ("auto", "white", "correlated", "coloured", "forces")
-QUANTITIES = ("velocity", "displacement", "acceleration", "free")
-STRUCTURES = ("auto", "lossless", "classical", "passive", "free")
-REPRESENTATIONS = ("observable", "controllable")
 
 
 def add_options(parser: Parser) -> None:
@@ -77,14 +80,14 @@ def add_fitted(parser: Parser) -> None:
         help="number of real poles, as of lags, beside the modes, or auto (default); alone with --order 0",
     )  # fmt: skip
     model.add_argument(
-        "--noise", choices=NOISES, default="auto", help="what is beside the response to the inputs (default auto)"
+        "--noise", choices=NOISE_KINDS, default="auto", help="what is beside the response to the inputs (default auto)"
     )
     model.add_argument("--max-order", type=int, default=20, metavar="N", help="largest order of auto (default 20)")
     model.add_argument(
         "--criterion", choices=CRITERIA, default="bic", help="criterion that auto minimises (default bic)"
     )
     model.add_argument(
-        "--structure", choices=STRUCTURES, default="auto",
+        "--structure", choices=STRUCTURE_CHOICES, default="auto",
         help="assumption about losses and sensors (default auto: the simplest that the data do not reject)",
     )  # fmt: skip
     model.add_argument(
@@ -95,7 +98,7 @@ def add_fitted(parser: Parser) -> None:
         help="velocity, displacement, acceleration or free, for all outputs or for each (default: from the file, "
         "its labels or units, else velocity)",
     )  # fmt: skip
-    add_meeting(model, ("estimate", "zero"), "whichever fits better", (*INTERSAMPLE, "bandlimited"))
+    add_meeting(model, INITIAL_STATES, "whichever fits better", RESPONSE_INTERPOLATIONS)
     model.add_argument(
         "--no-offset", dest="offset", action="store_false",
         help="no offset (default: an offset or a drift if the data show it)",
@@ -168,9 +171,9 @@ def _label(text: str) -> str | int:
 def quantities(text: str) -> str | list[str]:
     """One quantity, or several between commas."""
     found = [word.strip() for word in text.split(",")]
-    wrong = [word for word in found if word not in QUANTITIES]
+    wrong = [word for word in found if word not in SENSOR_QUANTITIES]
     if wrong:
-        raise argparse.ArgumentTypeError(f"{wrong[0]!r} is none of {', '.join(map(repr, QUANTITIES))}")
+        raise argparse.ArgumentTypeError(f"{wrong[0]!r} is none of {', '.join(map(repr, SENSOR_QUANTITIES))}")
     return found[0] if len(found) == 1 else found
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ... import _checks
+from ..._options import TestedParameters
 from ..._threads import on_one_thread
 from ...exceptions import StructureError
 from .mode_comparison import ModeComparison, compared_modes
@@ -78,7 +79,7 @@ class Monitored:
 
     @on_one_thread
     def changed(
-        self, data: Any, *, parameters: str = "all", level: float = 0.05, dt: float | None = None
+        self, data: Any, *, parameters: TestedParameters = "all", level: float = 0.05, dt: float | None = None
     ) -> ChangeTest:  # fmt: skip
         """Test whether a new record is one of the same plant, without a fit.
 

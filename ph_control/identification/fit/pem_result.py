@@ -14,6 +14,7 @@ import numpy as np
 from ... import _checks
 from ..._display import counted
 from ..._frozen import ReadOnlyMapping
+from ..._options import PREDICTED_STATES, Discretisation, Interpolation, PredictedState
 from ..._types import Array, ArrayLike, ComplexArray
 from ..._units import DERIVATIVES, common_unit, hertz_size, with_unit
 from ...analysis.spectral_window import SpectralWindow
@@ -187,11 +188,11 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
     success: bool
     outcome: Outcome
     message: str
-    intersample: str
+    intersample: Interpolation
     delay: Array = field(default_factory=lambda: np.zeros(1))
     delay_stderr: Array = field(default_factory=lambda: np.zeros(1))
     input_delay: Array = field(default_factory=lambda: np.zeros(1))
-    method: str = "exact"
+    method: Discretisation = "exact"
     blind: bool = False
     noise: NoiseModel | None = None
     fitted_parameters: FittedParameters | None = None
@@ -715,7 +716,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         return response_through(self.window, frequencies, self.poles, halves, self.feedthrough)
 
     def predict(
-        self, data: Any, *, initial_state: ArrayLike | str | None = None, dt: float | None = None,
+        self, data: Any, *, initial_state: ArrayLike | PredictedState | None = None, dt: float | None = None,
         horizon: int | None = None,
     ) -> ct.TimeResponseData:  # fmt: skip
         """Outputs of the model on another record, simulated or predicted some steps ahead.
@@ -797,7 +798,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
             return self._outputs_from(self._motion_of(initial_state), record)
         alone = len(self.experiments) == 1 and not np.iscomplexobj(self.experiments[0].predicted)
         name = initial_state or ("estimate" if seen else "fitted" if alone else "zero")
-        _checks.choice("initial_state", name, ("estimate", "fitted", "final", "zero"))
+        _checks.choice("initial_state", name, PREDICTED_STATES)
         hold = Hold(record.dt, self.method, self.intersample)
         if name in ("fitted", "final"):
             if len(self.experiments) > 1:

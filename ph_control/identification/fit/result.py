@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 import numpy as np
 
@@ -28,6 +28,10 @@ from ..diagnosis.verdict import CUT_SHORT, Outcome
 from ..estimates.stabilisation import Stabilisation, compared
 from ..regression.prediction import chosen_experiment, joint_percent, shares_left
 from ..uncertainty.draws import intervals
+
+PictureKind = Literal[
+    "fit", "responses", "nyquist", "circles", "shapes", "assurance", "stabilisation", "residuals", "tests"
+]
 
 
 @dataclass(frozen=True)
@@ -343,7 +347,7 @@ class FittedModes(Report, Frozen):
         self,
         experiment: int = 0,
         *,
-        kind: str = "fit",
+        kind: PictureKind = "fit",
         output: int | None = None,
         input: int | None = None,
         **kwargs: Any,
@@ -389,7 +393,7 @@ class FittedModes(Report, Frozen):
             "assurance": mac_plot, "stabilisation": stabilisation_plot, "residuals": residual_plot,
             "tests": hypothesis_plot,
         }  # fmt: skip
-        if _checks.choice("kind", kind, ("fit", *pictures)) != "fit":
+        if _checks.choice("kind", kind, get_args(PictureKind)) != "fit":
             given: dict[str, dict[str, Any]] = {
                 "circles": {"output": output, "input": input},
                 "residuals": {"experiment": experiment},

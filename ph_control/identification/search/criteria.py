@@ -10,7 +10,6 @@ from scipy.special import chdtrc, chdtri
 from ..._types import Array, ComplexArray, Mask
 from ..regression.tuning import TUNING
 
-CRITERIA = ("bic", "aicc", "aic", "holdout")
 _REAL = 4  # real poles at most beside modes whose number is open
 HELD_OUT = 1 / 3  # of each experiment, by the criterion of that name
 

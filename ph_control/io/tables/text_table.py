@@ -18,6 +18,7 @@ import numpy as np
 
 from ... import _checks
 from ..._display import counted
+from ..._options import DECIMAL_MARKS
 from ..._types import Array
 from ...exceptions import FileFormatError, StructureError
 from .columns import Table
@@ -253,7 +254,7 @@ def _check_layout(header: Any, delimiter: Any, decimal: Any) -> None:
     if delimiter is not None and (not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter in '"\n\r.'):
         raise StructureError(f"delimiter is {delimiter!r}; it must be one character, such as ',' or ';' or a tab")
     if decimal is not None:
-        _checks.choice("decimal", decimal, (".", ","))
+        _checks.choice("decimal", decimal, DECIMAL_MARKS)
 
 
 def text_lines(data: bytes, name: str) -> list[str]:
