@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import wraps
 from inspect import signature
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, overload
 
 import control as ct
 import numpy as np
@@ -54,6 +54,14 @@ def _with_aliases(response: Response) -> Response:
     return cast(Response, call)
 
 
+@overload
+def forced_response(sysdata: list[Any] | tuple[Any, ...], *args: Any, **kwargs: Any) -> TimeResponseList: ...
+@overload
+def forced_response(
+    sysdata: Any, timepts: ArrayLike | None = ..., inputs: ArrayLike = ..., initial_state: ArrayLike = ...,
+    transpose: bool = ..., return_states: bool | None = ..., squeeze: bool | None = ..., *,
+    method: Discretisation = ..., intersample: Interpolation = ..., **aliases: Any,
+) -> TimeResponseData: ...  # fmt: skip
 @_with_aliases
 def forced_response(
     sysdata: Any,
@@ -67,7 +75,7 @@ def forced_response(
     method: Discretisation = "exact",
     intersample: Interpolation = "foh",
     **aliases: Any,
-) -> Any:
+) -> TimeResponseData | TimeResponseList:
     """Response to an input signal and an initial state.
 
     Parameters
@@ -144,6 +152,15 @@ def forced_response(
     return _each(sysdata, run, of_other, method, timepts, None)
 
 
+@overload
+def step_response(sysdata: list[Any] | tuple[Any, ...], *args: Any, **kwargs: Any) -> TimeResponseList: ...
+@overload
+def step_response(
+    sysdata: Any, timepts: ArrayLike | None = ..., initial_state: ArrayLike = ...,
+    input_indices: int | None = ..., output_indices: int | None = ..., timepts_num: int | None = ...,
+    transpose: bool = ..., return_states: bool = ..., squeeze: bool | None = ..., *,
+    method: Discretisation = ..., intersample: Interpolation = ..., **aliases: Any,
+) -> TimeResponseData: ...  # fmt: skip
 @_with_aliases
 def step_response(
     sysdata: Any,
@@ -159,7 +176,7 @@ def step_response(
     method: Discretisation = "exact",
     intersample: Interpolation = "zoh",
     **aliases: Any,
-) -> Any:
+) -> TimeResponseData | TimeResponseList:
     """Response to a unit step at each input.
 
     Parameters
@@ -223,6 +240,14 @@ def step_response(
     return _each(sysdata, run, of_other, method, timepts, timepts_num)
 
 
+@overload
+def impulse_response(sysdata: list[Any] | tuple[Any, ...], *args: Any, **kwargs: Any) -> TimeResponseList: ...
+@overload
+def impulse_response(
+    sysdata: Any, timepts: ArrayLike | None = ..., input_indices: int | None = ...,
+    output_indices: int | None = ..., timepts_num: int | None = ..., transpose: bool = ...,
+    return_states: bool = ..., squeeze: bool | None = ..., *, method: Discretisation = ..., **aliases: Any,
+) -> TimeResponseData: ...  # fmt: skip
 @_with_aliases
 def impulse_response(
     sysdata: Any,
@@ -236,7 +261,7 @@ def impulse_response(
     *,
     method: Discretisation = "exact",
     **aliases: Any,
-) -> Any:
+) -> TimeResponseData | TimeResponseList:
     """Response to a unit impulse at each input: the free motion from `z = B e_j`.
 
     Parameters
@@ -282,6 +307,14 @@ def impulse_response(
     return _each(sysdata, run, of_other, method, timepts, timepts_num)
 
 
+@overload
+def initial_response(sysdata: list[Any] | tuple[Any, ...], *args: Any, **kwargs: Any) -> TimeResponseList: ...
+@overload
+def initial_response(
+    sysdata: Any, timepts: ArrayLike | None = ..., initial_state: ArrayLike = ...,
+    output_indices: int | None = ..., timepts_num: int | None = ..., transpose: bool = ...,
+    return_states: bool = ..., squeeze: bool | None = ..., *, method: Discretisation = ..., **aliases: Any,
+) -> TimeResponseData: ...  # fmt: skip
 @_with_aliases
 def initial_response(
     sysdata: Any,
@@ -295,7 +328,7 @@ def initial_response(
     *,
     method: Discretisation = "exact",
     **aliases: Any,
-) -> Any:
+) -> TimeResponseData | TimeResponseList:
     """Free motion from an initial state.
 
     Parameters
@@ -348,7 +381,9 @@ def initial_response(
 Run = Callable[[Any, Array], TimeResponseData]
 
 
-def _each(sysdata: Any, run: Run, of_other: Run, method: Discretisation, timepts: Any, samples: int | None) -> Any:
+def _each(
+    sysdata: Any, run: Run, of_other: Run, method: Discretisation, timepts: Any, samples: int | None
+) -> TimeResponseData | TimeResponseList:
     """Run one system, or each of a list on common instants: those of the package, or others."""
     several = isinstance(sysdata, list | tuple)
     if several and not sysdata:

@@ -35,7 +35,7 @@ _STEADY = (0.1, 0.3, 1.0, 3.0)  # standard errors of damping ratios that growing
 @on_one_thread
 def nearest_passive(
     sys_or_result: Any, *, weight: Weight | tuple[ArrayLike, ArrayLike] | None = None, kind: PortKind = "immittance"
-) -> Any:
+) -> PortHamiltonian | ct.StateSpace:
     """Find the passive model next to a system or a fit, with the same poles.
 
     Parameters

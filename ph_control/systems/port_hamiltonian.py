@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
@@ -34,6 +34,9 @@ from ..symplectic.forms_and_williamson import (
 )
 from .base import LosslessSystem, View, inherited_names, refuse_losses, restored
 from .passive_form import Conversion, in_port_order, loses_energy, parts_of_resonators
+
+if TYPE_CHECKING:
+    from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
 _SIGNALS = ("inputs", "outputs", "states")
@@ -428,7 +431,7 @@ class PortHamiltonian(LosslessSystem):
         # Python asks the subclass first; StateSpace.__rmul__ would hand the question back without end
         return NotImplemented if isinstance(other, ct.StateSpace) else super().__rmul__(other)
 
-    def feedback(self, other: Any = 1, sign: int = -1) -> Any:
+    def feedback(self, other: Any = 1, sign: int = -1) -> PortHamiltonian | ct.StateSpace:
         """Feedback loop, PH for negative feedback through a PH system or a matrix that only takes energy.
 
         Parameters
@@ -459,7 +462,7 @@ class PortHamiltonian(LosslessSystem):
         except AttributeError:  # of python-control, which finds no system in it
             raise TypeError(f"a {type(other).__name__} cannot be the feedback of a system") from None
 
-    def append(self, other: Any) -> Any:
+    def append(self, other: Any) -> PortHamiltonian | ct.StateSpace:
         """Systems side by side, PH with a PH system or with a gain that takes energy.
 
         Parameters
@@ -526,7 +529,7 @@ class PortHamiltonian(LosslessSystem):
         Q, B = latex_matrix(self.Q), latex_matrix(self.B)
         return rf"\dot z = J Q z + B u, \quad y = B^\top Q z, \quad Q = {Q}, \quad B = {B}"
 
-    def controllable_form(self, **names: Any) -> Any:
+    def controllable_form(self, **names: Any) -> ControllableHamiltonian:
         """Controllable Hamiltonian canonical form with the same parameters: what `ch` makes of this system.
 
         Parameters
@@ -554,7 +557,7 @@ class PortHamiltonian(LosslessSystem):
 
         return ch(self, **names)
 
-    def observable_form(self, **names: Any) -> Any:
+    def observable_form(self, **names: Any) -> ObservableHamiltonian:
         """Observable Hamiltonian canonical form with the same parameters: what `oh` makes of this system.
 
         Parameters

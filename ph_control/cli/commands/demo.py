@@ -164,7 +164,8 @@ def _against_truth(plant: Plant, result: phc.PEMResult) -> Iterator[str]:
 def _draw(plant: Plant, result: phc.PEMResult, folder: Path) -> None:
     import matplotlib.pyplot as plt
 
-    response = result.record.as_response()
+    record: Any = result.record
+    response = record.as_response()
     pictures = {
         "fit": result.plot(),
         "bode": phc.bode_plot([result.system, plant.system], data=response, label=["identified", "true"]),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ... import _checks
 from ..._options import TestedParameters
@@ -14,11 +14,6 @@ from .score_test import ChangeTest, score_test
 
 class Monitored:
     """Comparison of a result with a later one, and its test on a later record."""
-
-    if TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            """Attributes of the result."""
 
     def compare(
         self, other: Any, *, frequency_tolerance: float = 0.1, least_mac: float = 0.5, level: float = 0.05

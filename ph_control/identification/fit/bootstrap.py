@@ -11,7 +11,7 @@ import numpy as np
 
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._threads import on_one_thread
-from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..._types import Array, ComplexArray, Indices, Mask, NDArray, RandomSource
 from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
 from ..data.channels import Recording
@@ -124,7 +124,7 @@ class Bootstrap(Frozen):
         """Real poles, shape (k, r)."""
         return np.asarray(self.poles[:, self._modes :].real)
 
-    def _statistic(self, of: Callable[[Array], Array]) -> Mapping[str, Any]:
+    def _statistic(self, of: Callable[[Array], Array]) -> Mapping[str, NDArray[Any]]:
         """Statistic of each parameter by its name, along the resamples; of complex ones of both parts."""
         statistics = {}
         more = [name for name in ("r", "initial_state") if getattr(self, name).size]
@@ -134,12 +134,12 @@ class Bootstrap(Frozen):
         return ReadOnlyMapping(statistics)
 
     @cached_property
-    def stderr(self) -> Mapping[str, Any]:
+    def stderr(self) -> Mapping[str, NDArray[Any]]:
         """Standard deviation over the resamples, under keys of the result's `stderr`; NaN for fewer than two."""
         few = len(self) < 2
         return self._statistic(lambda draws: np.full(draws.shape[1:], np.nan) if few else np.std(draws, axis=0, ddof=1))
 
-    def interval(self, level: float = 0.95) -> Mapping[str, Any]:
+    def interval(self, level: float = 0.95) -> Mapping[str, NDArray[Any]]:
         """Percentile intervals of the parameters.
 
         Parameters
@@ -192,7 +192,7 @@ class Resampled:
     """The bootstrap of a result."""
 
     @on_one_thread
-    def bootstrap(self: Any, k: int = 200, *, rng: Any = None, workers: Any = 1) -> Bootstrap:
+    def bootstrap(self: Any, k: int = 200, *, rng: RandomSource = None, workers: Any = 1) -> Bootstrap:
         """Refit to resampled noise: errors that do not rest on a normal distribution, nor on noise of one level.
 
         Each time the residuals of every experiment are drawn anew, with replacement, added to its prediction, and the

@@ -21,7 +21,7 @@ from scipy.signal import lfilter
 from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
-from ..._types import Array, ArrayLike, Mask
+from ..._types import Array, ArrayLike, Mask, RandomSource
 from ...exceptions import IdentificationError, StructureError
 from ...modal.modal_form import from_frequencies
 from ...systems.canonical_forms import ObservableHamiltonian, oh
@@ -156,7 +156,7 @@ def gradient_descent(
     epochs: int = 500,
     initial_guess: Any = None,
     validation: Any = None,
-    rng: Any = None,
+    rng: RandomSource = None,
 ) -> GradientResult:
     """Learn a lossless model by gradient descent, as the paper does; a reference, use `pem` for work.
 
@@ -321,7 +321,7 @@ def _message(
 # --- where to start, and what is allowed -----------------------------------------------------------------------------
 
 
-def _random_start(problem: EulerProblem, rng: Any) -> Array:
+def _random_start(problem: EulerProblem, rng: RandomSource) -> Array:
     """Random parameters of the size of the signals.
 
     Frequencies up to twice the mean frequency of the output, weights in the ratio of the signals, and modes that

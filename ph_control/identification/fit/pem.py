@@ -28,7 +28,7 @@ from ..._options import (
     Structure,
 )
 from ..._threads import on_one_thread
-from ..._types import ArrayLike
+from ..._types import ArrayLike, RandomSource
 from ..._workers import check_workers
 from ...exceptions import IdentifiabilityWarning, StructureError
 from ..data.channels import ResponseHold
@@ -63,7 +63,7 @@ def pem(
     criterion: Criterion = "bic",
     max_order: int | None = None,
     workers: Any = 1,
-    rng: Any = None,
+    rng: RandomSource = None,
     callback: Callback | None = None,
     structure: Structure = "auto",
     ports: Any = None,

@@ -9,12 +9,15 @@ import control as ct
 import numpy as np
 
 from ... import _checks
+from ..._options import Discretisation, Interpolation
 from ..._types import Array
 from ..._units import with_unit
 from ...exceptions import NoSuchQuantityError, StructureError
 from ...modal.discretization import Hold
+from ...systems.port_hamiltonian import PortHamiltonian
 from ..uncertainty.kalman import KalmanFilter, NoisyPlant, continuous_gain, foretold_colour, growing
 from ..uncertainty.noise_model import NoiseModel, through_plant
+from .result import FittedModes
 
 _SAME_STEP = 0.01  # relative difference of steps that are the same, as of the instants of a record
 _SAME_STATES = 1e-6  # relative difference up to which two systems are one in other states
@@ -27,14 +30,22 @@ def checked_horizon(value: Any) -> int | None:
     return _checks.whole_number("horizon", value, 1)
 
 
-class Foretelling:
+class Foretelling(FittedModes):
     """The predictor of a fit and its gain, from its poles, residues, delays and `noise`."""
 
     if TYPE_CHECKING:
         noise: NoiseModel | None
+        delay: Array
+        method: Discretisation
+        intersample: Interpolation
 
-        def __getattr__(self, name: str) -> Any:
-            """Attributes of the result."""
+        @cached_property
+        def system(self) -> PortHamiltonian | ct.StateSpace:
+            """The model."""
+
+        @cached_property
+        def observed_system(self) -> ct.StateSpace:
+            """Linear system from the inputs to what was measured."""
 
     @property
     def predictor(self) -> ct.StateSpace:

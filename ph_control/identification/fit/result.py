@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
+import control as ct
 import numpy as np
 
 from ... import _checks
@@ -24,9 +25,13 @@ from ...plotting.fit_plot import fit_plot
 from ...plotting.frf_plot import frf_plot, nyquist_plot
 from ...plotting.shape_plot import circle_plot, mac_plot, over_inputs, shape_plot
 from ...plotting.validation_plot import hypothesis_plot, stabilisation_plot
+from ..data.channels import Recording, ResponseMatrix
+from ..data.frequency_record import FrequencyRecord
+from ..data.time_record import Record
 from ..diagnosis.verdict import CUT_SHORT, Outcome
-from ..estimates.stabilisation import Stabilisation, compared
-from ..regression.prediction import chosen_experiment, joint_percent, shares_left
+from ..estimates.stabilisation import Orders, Stabilisation, compared
+from ..regression.free_prediction import FittedChannels
+from ..regression.prediction import FittedExperiment, chosen_experiment, joint_percent, shares_left
 from ..uncertainty.draws import intervals
 
 PictureKind = Literal[
@@ -61,9 +66,17 @@ class FittedModes(Report, Frozen):
     """What follows from the attributes of a `PEMResult`: views of its modes, comparisons, pictures and files."""
 
     if TYPE_CHECKING:
+        poles: ComplexArray
+        shapes: ComplexArray
+        residues: ComplexArray
+        experiments: tuple[FittedChannels, ...] | tuple[FittedExperiment, ...]
+        outcome: Outcome
+        stderr: Mapping[str, NDArray[Any]]
 
-        def __getattr__(self, name: str) -> Any:
-            """Attributes of the result."""
+        @property
+        def _spare(self) -> int: ...
+
+        def _orders_about(self, most: int) -> Orders: ...
 
     @property
     def natural_frequencies(self) -> Array:
@@ -171,7 +184,7 @@ class FittedModes(Report, Frozen):
         _checks.finite("other", shapes)
         return mac(_compared_shapes(self), shapes)
 
-    def _only(self, name: str) -> Any:
+    def _only(self, name: str) -> FittedChannels | FittedExperiment:
         if len(self.experiments) > 1:
             raise StructureError(
                 f"this fit has {len(self.experiments)} experiments; use experiments[k].{name} for one of them"
@@ -179,7 +192,7 @@ class FittedModes(Report, Frozen):
         return self.experiments[0]
 
     @property
-    def record(self) -> Any:
+    def record(self) -> Record | FrequencyRecord | Recording | ResponseMatrix:
         """The data, of a fit to one experiment."""
         return self._only("record").record
 
@@ -275,7 +288,7 @@ class FittedModes(Report, Frozen):
             damping_tolerance=damping_tolerance, least_mac=least_mac,
         )  # fmt: skip
 
-    def confidence_interval(self, level: float = 0.95) -> Mapping[str, Any]:
+    def confidence_interval(self, level: float = 0.95) -> Mapping[str, NDArray[Any]]:
         """Confidence intervals of the parameters.
 
         Parameters
@@ -351,7 +364,7 @@ class FittedModes(Report, Frozen):
         output: int | None = None,
         input: int | None = None,
         **kwargs: Any,
-    ) -> Any:
+    ) -> ct.ControlPlot:
         """Picture of one measured and predicted output with the residual below; of a response, over frequency.
 
         Parameters

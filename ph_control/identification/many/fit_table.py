@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import control as ct
 import numpy as np
@@ -18,6 +18,9 @@ from .control_chart import ControlChart
 from .recording_scores import chart_of_recordings
 from .recordings import Modes
 from .tracking import ModeTracks, followed
+
+if TYPE_CHECKING:
+    import pandas
 
 TableKind = Literal["tracks", "changes"]
 
@@ -69,7 +72,7 @@ class FitTable(Report, Frozen):
         """Rows of the recordings that could not be fitted, with their messages."""
         return self.table[self.table["order"] < 0]
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> pandas.DataFrame:
         """Table as a data frame of pandas.
 
         Returns
