@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import redirect_stdout
-from typing import Any, Literal, get_args
+from typing import Any, Literal, get_args, overload
 
 import control as ct
 import numpy as np
@@ -24,9 +24,11 @@ from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 
 Method = Literal["best", "poly", "frd"]
+Margins = tuple[float, float, float, float, float, float]
+AllMargins = tuple[Array, Array, Array, Array, Array, Array]
 
 
-def margin(*args: Any) -> tuple[Any, Any, Any, Any]:
+def margin(*args: Any) -> tuple[float, float, float, float]:
     """Gain and phase margin of a loop, and where they are.
 
     Parameters
@@ -66,9 +68,17 @@ def margin(*args: Any) -> tuple[Any, Any, Any, Any]:
     return gm, pm, wpc, wgc
 
 
+@overload
+def stability_margins(
+    sysdata: Any, returnall: Literal[False] = ..., epsw: float = ..., method: Method = ...
+) -> Margins: ...
+@overload
+def stability_margins(
+    sysdata: Any, returnall: Literal[True], epsw: float = ..., method: Method = ...
+) -> AllMargins: ...
 def stability_margins(
     sysdata: Any, returnall: bool = False, epsw: float = 0.0, method: Method = "best"
-) -> tuple[Any, Any, Any, Any, Any, Any]:
+) -> Margins | AllMargins:
     """Margins of a loop under unity negative feedback, infinite where no change of gain or phase is too much.
 
     Parameters

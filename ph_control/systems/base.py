@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 import control as ct
 import numpy as np
@@ -15,22 +15,32 @@ from .._types import Array, ComplexArray, NDArray
 from ..exceptions import NotLosslessError, StructureError, printable
 from ..modal.modal_form import ModalForm, imaginary
 
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 _ASIDE = 32 * _checks.EPS  # of a value on the imaginary axis: what is left beside it once a phase is rounded
 _RIGHT = 1e-9  # of a frequency: how far to the right of the axis values show which way
 LETTERS = {"states": "x", "outputs": "y", "inputs": "u"}  # of the names that python-control gives
 _LOOKED_AT = 100  # degrees of freedom of a system whose matrices and modes are computed in order to show them
 
 
-class View:
+Value = TypeVar("Value")
+
+
+class View(Generic[Value]):
     """A matrix computed on first access, kept, and locked against rebinding and writing."""
 
-    def __init__(self, compute: Callable[[Any], Any]) -> None:
+    def __init__(self, compute: Callable[[Any], Value]) -> None:
         self.compute = compute
         self.__doc__ = compute.__doc__
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
 
+    @overload
+    def __get__(self, system: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, system: Any, owner: type | None = None) -> Value: ...
     def __get__(self, system: Any, owner: type | None = None) -> Any:
         if system is None:
             return self

@@ -285,7 +285,9 @@ def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomp
     unseen = ModalForm._of(hidden, np.zeros((len(hidden), 1), complex), np.zeros((0, 1)))
 
     def transformation() -> Array:
-        groups = found.groups if reduction is None else as_decided(system.modes, reduction.starts, reduction.reached)
+        groups = (
+            found.groups if isinstance(found, Separation) else as_decided(system.modes, found.starts, found.reached)
+        )
         return _transformation(system, groups)
 
     return KalmanDecomposition(_named_like(system, found.minimal()), _named_like(system, unseen), transformation)
