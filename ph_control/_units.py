@@ -69,9 +69,9 @@ def with_unit(data: Any, unit: str | None) -> Any:
 
 def common_unit(*things: Any) -> str | None:
     """Unit of time of data, results and lists of these, where any tells one; two of them are refused."""
-    flat = [one for thing in things for one in (thing if isinstance(thing, list | tuple) else [thing])]
-    found = dict.fromkeys(checked_unit(getattr(one, "time_unit", None)) for one in flat)
-    units = [unit for unit in found if unit is not None]
+    flat = [source for thing in things for source in (thing if isinstance(thing, list | tuple) else [thing])]
+    stated = dict.fromkeys(checked_unit(getattr(source, "time_unit", None)) for source in flat)
+    units = [unit for unit in stated if unit is not None]
     if len(units) > 1:
         raise StructureError(
             f"the times are in {units[0]} here and in {units[1]} there, so that frequencies mean different things; "

@@ -161,8 +161,8 @@ def _lossless(loop: Any) -> ModalForm | None:
 def _quietly(ask: Callable[..., Any], *loop: Any, **options: Any) -> Any:
     """Answer of python-control, which prints what it raises, and looks for the roots of infinity without end."""
     try:
-        for one in loop:
-            _refuse_infinite(one)
+        for part in loop:
+            _refuse_infinite(part)
         with redirect_stdout(None), np.errstate(all="ignore"):
             return ask(*map(_polynomials, loop), **options)
     except StructureError:
@@ -171,14 +171,14 @@ def _quietly(ask: Callable[..., Any], *loop: Any, **options: Any) -> Any:
         raise StructureError(f"python-control has no margins of this loop: {error}") from None
 
 
-def _refuse_infinite(one: Any) -> None:
+def _refuse_infinite(part: Any) -> None:
     """Refuse a loop, or a response, with numbers that are not finite."""
-    if isinstance(one, ct.StateSpace):
-        numbers = [one.A, one.B, one.C, one.D]
-    elif isinstance(one, ct.TransferFunction):
-        numbers = [array for table in (one.num_list, one.den_list) for row in table for array in row]
+    if isinstance(part, ct.StateSpace):
+        numbers = [part.A, part.B, part.C, part.D]
+    elif isinstance(part, ct.TransferFunction):
+        numbers = [array for table in (part.num_list, part.den_list) for row in table for array in row]
     else:
-        numbers = [one.frdata if isinstance(one, ct.FrequencyResponseData) else one]
+        numbers = [part.frdata if isinstance(part, ct.FrequencyResponseData) else part]
     for array in map(np.asarray, numbers):
         if array.dtype.kind in "fc":
             _checks.finite("a number of the loop", array)
@@ -202,8 +202,8 @@ def _least(
 ) -> tuple[float, float, float, float, float, float]:
     """Least margins of a lossless loop; where all have the same size, that of a phase of -90 degrees."""
     inside = np.flatnonzero(pm > 0)
-    least, at = (float(pm[inside[0]]), float(wgc[inside[0]])) if len(inside) else (np.inf, np.nan)
-    return np.inf, least, float(sm[0]), np.nan, at, float(wms[0])
+    least, crossing = (float(pm[inside[0]]), float(wgc[inside[0]])) if len(inside) else (np.inf, np.nan)
+    return np.inf, least, float(sm[0]), np.nan, crossing, float(wms[0])
 
 
 def gain_crossings(loop: ModalForm) -> tuple[Array, Array]:
@@ -258,8 +258,8 @@ def _where_reactance_is(loop: ModalForm, level: Array, low: Array, high: Array) 
         below, above = np.where(rising, middle, below), np.where(rising, above, np.maximum(middle, below + 1))
     ends = np.stack([below.view(float), above.view(float)])
     error = np.abs([_reactance(loop, end) - level for end in ends])
-    found: Array = np.where(error[0] <= error[1], ends[0], ends[1])
-    return found
+    omega: Array = np.where(error[0] <= error[1], ends[0], ends[1])
+    return omega
 
 
 def _reactance(loop: ModalForm, omega: Array) -> Array:

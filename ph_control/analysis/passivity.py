@@ -207,13 +207,13 @@ def _judged(matrices: Matrices, L: Array, kind: str, certain: bool) -> Passivity
         least = max(whole.margin(), 0.0)
         return PassivityReport(kind, [], np.zeros(0), np.zeros(0), least, np.zeros(0, complex), whole)
     tested = None if len(split.unstable) else whole
-    found = violations(split, tested, scattering=scattering)
-    margin = -max((band.excess for band in found), default=0.0) if tested is not None else -np.inf
-    if tested is not None and not found:
+    bands = violations(split, tested, scattering=scattering)
+    margin = -max((band.excess for band in bands), default=0.0) if tested is not None else -np.inf
+    if tested is not None and not bands:
         margin = tested.margin()
     return PassivityReport(
-        kind, [(band.low, band.high) for band in found], np.array([band.worst for band in found]),
-        np.array([band.excess for band in found]), float(margin), split.unstable, tested,
+        kind, [(band.low, band.high) for band in bands], np.array([band.worst for band in bands]),
+        np.array([band.excess for band in bands]), float(margin), split.unstable, tested,
     )  # fmt: skip
 
 

@@ -223,11 +223,11 @@ def step_response(
     """
 
     def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
-        def one(port: int) -> tuple[Array, Any]:
+        def drive(port: int) -> tuple[Array, Any]:
             return np.eye(sys.ninputs)[:, port, None] * np.ones(t.size), initial_state
 
         shown = input_indices, output_indices
-        return _traces(sys, t, one, "Step", shown, method, intersample, transpose, squeeze, return_states)
+        return _traces(sys, t, drive, "Step", shown, method, intersample, transpose, squeeze, return_states)
 
     def of_other(sys: Any, t: Array) -> TimeResponseData:
         _checks.choice("intersample", intersample, INTERPOLATIONS)
@@ -292,11 +292,11 @@ def impulse_response(
     """
 
     def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
-        def one(port: int) -> tuple[Array, Any]:
+        def drive(port: int) -> tuple[Array, Any]:
             return np.zeros((sys.ninputs, t.size)), sys.B[:, port]
 
         shown = input_indices, output_indices
-        return _traces(sys, t, one, "Impulse", shown, method, "zoh", transpose, squeeze, return_states)
+        return _traces(sys, t, drive, "Impulse", shown, method, "zoh", transpose, squeeze, return_states)
 
     def of_other(sys: Any, t: Array) -> TimeResponseData:
         picked = _chosen("input", input_indices, sys.ninputs), _chosen("output", output_indices, sys.noutputs)
@@ -359,10 +359,10 @@ def initial_response(
     """
 
     def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
-        picked, one = _selected("output", output_indices, sys.noutputs)
+        picked, single = _selected("output", output_indices, sys.noutputs)
         problem = _Problem(sys, t, np.zeros((sys.ninputs, t.size)), initial_state, method, "zoh")
         return _Response(
-            problem.states, sys, t, problem.rule, problem.outputs()[picked], issiso=sys.issiso() or one,
+            problem.states, sys, t, problem.rule, problem.outputs()[picked], issiso=sys.issiso() or single,
             output_labels=sys.output_labels[picked],
             title="Initial response for " + sys.name, transpose=transpose,
             return_x=bool(return_states), squeeze=squeeze, sysname=sys.name, trace_types=["initial"],
@@ -418,14 +418,14 @@ def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) 
 
 
 def _traces(
-    sys: LosslessSystem, t: Array, one: Callable[[int], tuple[Array, Any]], kind: str, indices: tuple[Any, Any],
+    sys: LosslessSystem, t: Array, drive: Callable[[int], tuple[Array, Any]], kind: str, indices: tuple[Any, Any],
     method: Discretisation, intersample: Interpolation, transpose: bool, squeeze: bool | None, return_states: bool,
 ) -> TimeResponseData:  # fmt: skip
     """Responses to one input at a time, as python-control lays them out."""
     rows, one_output = _selected("output", indices[1], sys.noutputs)
     shown, one_input = _selected("input", indices[0], sys.ninputs)
     ports = range(sys.ninputs)[shown]
-    problems = [_Problem(sys, t, *one(port), method, intersample) for port in ports]
+    problems = [_Problem(sys, t, *drive(port), method, intersample) for port in ports]
     y = np.stack([problem.outputs()[rows] for problem in problems], axis=1)
     drives = [problem.u[shown] if kind == "Step" else np.zeros_like(problem.u[shown]) for problem in problems]
     return _Response(

@@ -44,13 +44,13 @@ class Parser(argparse.ArgumentParser):
 
     def parse(self, words: Sequence[str]) -> argparse.Namespace:
         """Parse, positional arguments anywhere among the options, with a proposal for one that is spelt wrong."""
-        found, extra = self.parse_known_intermixed_args(words)
+        parsed, extra = self.parse_known_intermixed_args(words)
         if extra:
             known = [name for action in self._actions for name in action.option_strings]
             close = difflib.get_close_matches(extra[0].split("=")[0], known, 1)
             hint = f"; did you mean {close[0]}?" if close else ""
             self.error(f"{extra[0]} is not an option or argument of this command{hint}")
-        return found
+        return parsed
 
     def error(self, message: str) -> NoReturn:
         """One line, and where to read on."""
@@ -95,18 +95,18 @@ def numbers(text: str) -> list[float]:
 
 def pair(text: str) -> tuple[float, float]:
     """Two numbers."""
-    found = numbers(text)
-    if len(found) != 2:
+    values = numbers(text)
+    if len(values) != 2:
         raise argparse.ArgumentTypeError(f"{text!r} is not two numbers, such as 0.1,10")
-    return found[0], found[1]
+    return values[0], values[1]
 
 
 def names(text: str) -> list[str]:
     """Names between commas; one that has a comma itself stands in double quotes."""
-    found = [one.strip() for one in next(csv.reader([text], skipinitialspace=True), [])]
-    if not found or not all(found):
+    listed = [name.strip() for name in next(csv.reader([text], skipinitialspace=True), [])]
+    if not listed or not all(listed):
         raise argparse.ArgumentTypeError(f"{text!r} is not a list of names, such as force1,force2")
-    return found
+    return listed
 
 
 def size(text: str) -> tuple[float, float]:
@@ -122,7 +122,7 @@ def list_of_numbers(text: str) -> list[float]:
     inside = text.strip().rstrip(";").strip().removeprefix("[").removesuffix("]").strip()
     if not inside:
         raise ValueError("there are no numbers")
-    signs = {found.strip() for found in _SEPARATOR.findall(inside)}
+    signs = {separator.strip() for separator in _SEPARATOR.findall(inside)}
     if len(signs) > 1:
         # a decimal comma would make two numbers of one
         listed = " and ".join(sorted(sign or "space" for sign in signs))

@@ -196,7 +196,9 @@ def bode_plot(
         if display_margins:
             panels = dict(zip(rows, drawn.axes[:, 0], strict=True))
             subjects = subjects_of(sysdata, None, tabulated=True)
-            observed = [one.given.observed_system if is_fit(one.given) else one.system for one in subjects]
+            observed = [
+                subject.given.observed_system if is_fit(subject.given) else subject.system for subject in subjects
+            ]
             _draw_margins(panels, numbers, observed, drawn.lines[0, 0], drawing)
         # a curve that is nowhere must at least be told
         legend = look.legend(drawn.axes[0, -1], 1 if any(curve.vanishes for curve in numbers.curves) else 2)
@@ -215,8 +217,8 @@ def _draw_margins(
         decibels = 20.0 * np.log10(gm) if gm else -np.inf
         if "phase" in panels and np.isfinite(pm):
             # the phase of the curve may be whole turns away
-            at = np.interp(wcp, curve.omega, curve.phase(0, 0))
-            critical = -180.0 + 360.0 * np.round((at - (pm - 180.0)) / 360.0)
+            phase_there = np.interp(wcp, curve.omega, curve.phase(0, 0))
+            critical = -180.0 + 360.0 * np.round((phase_there - (pm - 180.0)) / 360.0)
             low, high = panels["phase"].get_ylim()
             panels["phase"].set_ylim(min(low, size * (critical - 20.0)), max(high, size * (critical + 20.0)))
             panels["phase"].axhline(size * critical, **LIMIT)
@@ -261,17 +263,17 @@ def bode_data(
     first = subjects[0].system
     models = models_around(confidence, subjects, "magnitude_band", "phase_band")
     measured = _measurement(data, first, segments, intersample, data_label)
-    extents = np.concatenate([_extent(one.system, measured) for one in subjects])
+    extents = np.concatenate([_extent(subject.system, measured) for subject in subjects])
     grid, low, high = _frequencies(extents, measured, omega, omega_limits, unit)
     axis = FrequencyAxis(low, high, unit, unit_name, is_logarithmic(scale, low, high))
-    curves = [_curve(one, grid, low, high, omega_num) for one in subjects]
+    curves = [_curve(subject, grid, low, high, omega_num) for subject in subjects]
     for k, (curve, drawn) in enumerate(zip(curves, models, strict=True)):
         if drawn is not None:
             near = frequency_grid(curve.singular, low, high, False, omega_num, _AROUND_BAND, _CLOSEST_BAND)
             curves[k] = replace(curve, bands={(0, 0): band_of(drawn, near if grid is None else grid, level)})
     title = title_of("Bode plot", subjects, label is not None)
     if title == "Bode plot" and first.issiso():
-        source, sensor = (parted(one[0])[0] for one in (first.input_labels, first.output_labels))
+        source, sensor = (parted(labels[0])[0] for labels in (first.input_labels, first.output_labels))
         title += f", {source} to {sensor}" * (not {source, sensor} & {"u", "y", "u[0]", "y[0]"})
     dots = [] if measured is None else [measured]
     return DrawnResponses(curves, dots, axis, first.output_labels, first.input_labels, title)

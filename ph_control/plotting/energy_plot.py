@@ -77,34 +77,34 @@ def energy_plot(
     >>> plt.close(plot.figure)
     """
     balances = as_list(balance, "balances")
-    for one in balances:
-        if not isinstance(one, EnergyBalance):
-            raise StructureError(f"this is a {type(one).__name__}; pass what energy_balance(response, sys) gives")
+    for energies in balances:
+        if not isinstance(energies, EnergyBalance):
+            raise StructureError(f"this is a {type(energies).__name__}; pass what energy_balance(response, sys) gives")
     names = _checks.labels([""] * len(balances) if label is None else label, len(balances), "balances")
     look = Look.of(style)
     with look.context():
         drawn = picture(look, ax, (2, 1), (6.4, 4.6), sharex=True, height_ratios=[2.0, 1.0])
         above, below = drawn.axes[:, 0]
         drawn.lines[:, 0] = [[], []]
-        for k, (one, name) in enumerate(zip(balances, names, strict=True)):
+        for k, (energies, name) in enumerate(zip(balances, names, strict=True)):
             stored, supplied = {"color": f"C{2 * k}"}, {"color": f"C{2 * k + 1}", "linestyle": "--"}
             prefix = f"{name}: " if name else ""
             lost = {"color": f"C{2 * k + 1}", "linestyle": ":", "linewidth": 1.4}
-            losses = [(above, one.dissipated, f"{prefix}dissipated since the start", lost)] * bool(one.dissipated.any())
+            dissipated = (above, energies.dissipated, f"{prefix}dissipated since the start", lost)
             for axis, energy, text, line in (
-                (above, one.stored, f"{prefix}stored", {**stored, "linewidth": 1.4}),
-                (above, one.supplied, f"{prefix}supplied since the start", {**supplied, "linewidth": 1.4}),
-                *losses,
-                (below, one.defect, name, {**stored, "linewidth": 1.0}),
+                (above, energies.stored, f"{prefix}stored", {**stored, "linewidth": 1.4}),
+                (above, energies.supplied, f"{prefix}supplied since the start", {**supplied, "linewidth": 1.4}),
+                *[dissipated] * bool(energies.dissipated.any()),
+                (below, energies.defect, name, {**stored, "linewidth": 1.0}),
             ):
-                found = axis.plot(*extremes(one.time, energy), label=plain(text), **{**line, **look.line})
-                drawn.lines[int(axis is below), 0] += found
+                curves = axis.plot(*extremes(energies.time, energy), label=plain(text), **{**line, **look.line})
+                drawn.lines[int(axis is below), 0] += curves
         for axis in (above, below):
             axis.axhline(0.0, **ZERO)
-            axis.set_xlim(min(one.time[0] for one in balances), max(one.time[-1] for one in balances))
+            axis.set_xlim(min(each.time[0] for each in balances), max(each.time[-1] for each in balances))
             look.lattice(axis)
         above.set_ylabel(labelled("Energy", energy_unit))
-        lossy = any(one.dissipated.any() for one in balances)
+        lossy = any(energies.dissipated.any() for energies in balances)
         time = labelled("Time", unit_for(time_unit, balances))
         rest = "Stored + lost\nless supplied" if lossy else "Stored less\nsupplied"
         below.set(xlabel=time, ylabel=labelled(rest, energy_unit))

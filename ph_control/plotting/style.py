@@ -165,15 +165,15 @@ class Picture:
 
     def legend_of_all(self) -> Any:
         """One legend below all axes of a new figure, of all that is in any; on given axes, or placed, of the first."""
-        found: dict[str, Any] = {}
+        handles: dict[str, Any] = {}
         for axis in self.axes.flat:
             for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
-                found.setdefault(label, handle)
+                handles.setdefault(label, handle)
         silent = self.look.show_legend is False or (self.look.legend_loc is False and not self.look.show_legend)
-        if not self.new or isinstance(self.look.legend_loc, str) or silent or len(found) < 2:
+        if not self.new or isinstance(self.look.legend_loc, str) or silent or len(handles) < 2:
             return self.look.legend(self.axes[0, 0])
-        place: dict[str, Any] = {"loc": "outside lower center", "ncols": len(found), "frameon": False}
-        return self.figure.legend(list(found.values()), list(found), **place)
+        place: dict[str, Any] = {"loc": "outside lower center", "ncols": len(handles), "frameon": False}
+        return self.figure.legend(list(handles.values()), list(handles), **place)
 
     def legends(self) -> NDArray[Any]:
         """Legends of all axes."""
@@ -219,7 +219,7 @@ def _given_axes(ax: Any, shape: tuple[int, int], meaning: str) -> tuple[Figure, 
         raise StructureError(
             f"ax has {axes.size} axes; expected {np.prod(shape)}, of shape {shape}{meaning and ': ' + meaning}"
         )
-    wrong = [one for one in axes.flat if not isinstance(one, Axes)]
+    wrong = [axis for axis in axes.flat if not isinstance(axis, Axes)]
     if wrong:
         raise StructureError(f"ax holds {_checks.shown(wrong[0])}; pass axes of matplotlib, as plt.subplots makes them")
     axes = axes.reshape(shape)
@@ -245,16 +245,16 @@ def told_gain_units(outputs: Sequence[str], inputs: Sequence[str]) -> list[str] 
     above, below = ([parted(name)[1] for name in names] for names in (outputs, inputs))
     if not (all(above) and all(below) and len(set(below)) == 1):
         return [None] * len(outputs)
-    return [f"{one}/({below[0]})" if set("/ ") & set(below[0]) else f"{one}/{below[0]}" for one in above]
+    return [f"{unit}/({below[0]})" if set("/ ") & set(below[0]) else f"{unit}/{below[0]}" for unit in above]
 
 
 def told_gain_unit(*sources: Any) -> str | None:
     """Unit of all responses of the first of these whose names of channels tell one."""
-    for one in sources:
-        names = [getattr(one, name, None) or [] for name in ("output_labels", "input_labels")]
-        told = set(told_gain_units(*names))
-        if len(told) == 1 and None not in told:
-            return told.pop()
+    for source in sources:
+        names = [getattr(source, name, None) or [] for name in ("output_labels", "input_labels")]
+        units = set(told_gain_units(*names))
+        if len(units) == 1 and None not in units:
+            return units.pop()
     return None
 
 

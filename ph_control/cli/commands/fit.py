@@ -150,10 +150,10 @@ def delays(text: str) -> str | float | list[float]:
     if text == "auto":
         return text
     try:
-        found = [float(word) for word in text.split(",")]
+        times = [float(word) for word in text.split(",")]
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is no delay; write auto, 0, 0.05 or 0.05,0.06") from None
-    return found[0] if len(found) == 1 else found
+    return times[0] if len(times) == 1 else times
 
 
 def ports(text: str) -> list[tuple[str | int, str | int]]:
@@ -170,11 +170,11 @@ def _label(text: str) -> str | int:
 
 def quantities(text: str) -> str | list[str]:
     """One quantity, or several between commas."""
-    found = [word.strip() for word in text.split(",")]
-    wrong = [word for word in found if word not in SENSOR_QUANTITIES]
+    words = [word.strip() for word in text.split(",")]
+    wrong = [word for word in words if word not in SENSOR_QUANTITIES]
     if wrong:
         raise argparse.ArgumentTypeError(f"{wrong[0]!r} is none of {', '.join(map(repr, SENSOR_QUANTITIES))}")
-    return found[0] if len(found) == 1 else found
+    return words[0] if len(words) == 1 else words
 
 
 def run(options: Namespace) -> int:
@@ -207,13 +207,13 @@ def run(options: Namespace) -> int:
 
 def _fitted(options: Namespace) -> tuple[phc.PEMResult, bool]:
     """The result, and whether time was up."""
-    found, keywords = measurements(options.recordings, options), keywords_of(options)
+    recordings, keywords = measurements(options.recordings, options), keywords_of(options)
     watch, result = ProgressLine(str, options.timeout, always=options.watch_progress), None
     try:
         with watch:
             result = phc.pem(
-                found.whole, keywords.pop("order"), **keywords, workers=options.workers, callback=watch.callback,
-                **found.keywords,
+                recordings.whole, keywords.pop("order"), **keywords, workers=options.workers, callback=watch.callback,
+                **recordings.keywords,
             )  # fmt: skip
     except KeyboardInterrupt:
         if result is None and watch.expired:

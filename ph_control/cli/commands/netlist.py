@@ -49,6 +49,6 @@ def run(options: Namespace) -> int:
     (model,) = read_models(sources, options)
     circuit = phc.netlist(model.port_hamiltonian(), options.form, kind=options.kind)
     deliver(circuit.spice(), target, options.overwrite)
-    elements = [{"name": one.name, "nodes": one.nodes, "value": one.value} for one in circuit.elements]
+    elements = [{"name": element.name, "nodes": element.nodes, "value": element.value} for element in circuit.elements]
     answer = {"command": "netlist", "source": model.source, "form": circuit.form, "kind": circuit.kind}
     return conclude(options, {**answer, "elements": elements}, [target])

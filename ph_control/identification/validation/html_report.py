@@ -114,7 +114,7 @@ def _anchor(heading: str) -> str:
 
 def _titles(result: PEMResult) -> list[str]:
     """What the data are called, as the files they were read from."""
-    return list(dict.fromkeys(one.record.title for one in result.experiments if one.record.title))
+    return list(dict.fromkeys(experiment.record.title for experiment in result.experiments if experiment.record.title))
 
 
 # --- sections --------------------------------------------------------------------------------------------------------
@@ -130,8 +130,8 @@ def _summary(result: PEMResult, kind: PictureKind) -> list[str]:
     parts += [_with_errors(table) for table in tables if len(table) > 1]
     sentences = _sentences(result)
     more = [f'<a href="#{_anchor(_FINDINGS)}">and {len(sentences) - _FIRST} more</a>'] * (len(sentences) > _FIRST)
-    found = [*map(escaped, sentences[:_FIRST]), *more]
-    parts += ["<h3>What the data show</h3>", _listed(found)] if found else []
+    items = [*map(escaped, sentences[:_FIRST]), *more]
+    parts += ["<h3>What the data show</h3>", _listed(items)] if items else []
     heading, caption = next((heading, text) for name, heading, text in _PICTURES if name == kind)
     return [*parts, f"<h3>{escaped(heading)}</h3>", *_pictures(result, kind, caption, 1)]
 
@@ -265,8 +265,8 @@ def _pictures(result: PEMResult, kind: PictureKind, caption: str, most: int | No
 def _worst_outputs(result: PEMResult, experiment: int, most: int) -> Sequence[int]:
     """Outputs to draw, all or those that are explained worst, in their order."""
     fitted = result.experiments[experiment]
-    left = np.ravel(shares_left([(fitted.record, fitted.predicted)]))
-    worst = np.argsort(np.nan_to_num(-left, nan=np.inf), kind="stable")[:most]
+    shares = np.ravel(shares_left([(fitted.record, fitted.predicted)]))
+    worst = np.argsort(np.nan_to_num(-shares, nan=np.inf), kind="stable")[:most]
     return sorted(worst.tolist())
 
 

@@ -81,7 +81,7 @@ class TextTable(Table):
         seconds, wrong = seconds_since_first(fields)
         if wrong is not None:
             example = f"is no instant as {fields[0]!r} in line {self.line_numbers[0]} is; correct it"
-            raise FileFormatError(f"{self.at(wrong, column)}: {fields[wrong][:60]!r} {example}, or drop the row")
+            raise FileFormatError(f"{self.place_of(wrong, column)}: {fields[wrong][:60]!r} {example}, or drop the row")
         return seconds, "s"
 
     def line(self, row: int) -> str:
@@ -136,7 +136,7 @@ class TextTable(Table):
         if text.casefold() in MISSING:
             return math.nan
         hint = "; put # in front of the line if it holds units" if row == 0 and self.labels else ""
-        raise FileFormatError(f"{self.at(row, column)}: {_what_is_wrong(text, self.decimal)}{hint}")
+        raise FileFormatError(f"{self.place_of(row, column)}: {_what_is_wrong(text, self.decimal)}{hint}")
 
 
 @dataclass(frozen=True)
