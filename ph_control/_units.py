@@ -7,12 +7,14 @@ never shown.  Data, and results of fits, tell theirs by an attribute `time_unit`
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from . import _checks
 from .exceptions import StructureError
+
+Data = TypeVar("Data")
 
 # what an output measures, as a derivative of a displacement; of any other sensor nothing is known
 DERIVATIVES = {"displacement": 0, "free": 0, "velocity": 1, "acceleration": 2}
@@ -61,9 +63,9 @@ def checked_unit(value: Any) -> str | None:
     return unit
 
 
-def with_unit(data: Any, unit: str | None) -> Any:
+def with_unit(data: Data, unit: str | None) -> Data:
     """The same data, told its unit of time."""
-    data.time_unit = unit
+    data.time_unit = unit  # type: ignore[attr-defined]
     return data
 
 

@@ -8,10 +8,13 @@ import math
 from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..exceptions import OutputExistsError, StructureError
 from .outcome import DONE, emit
+
+if TYPE_CHECKING:
+    import ph_control as phc
 
 # --- answers ---------------------------------------------------------------------------------------------------------
 
@@ -53,7 +56,7 @@ def modes_of(form: Any) -> dict[str, Any]:
     return {"d": form.d, "frequency": form.d / (2 * math.pi), "r": form.r, "kappa": form.kappa, "kappa_0": kappa_0}
 
 
-def fit_of(result: Any) -> dict[str, Any]:
+def fit_of(result: phc.PEMResult) -> dict[str, Any]:
     """Fields of the result of a fit."""
     answer = {
         **_fields(result, *_FIT),
@@ -92,7 +95,7 @@ def _experiment_of(experiment: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def is_described(result: Any) -> bool:
+def is_described(result: phc.PEMResult) -> bool:
     """Whether the verdict leaves a model standing."""
     return len(result.poles) > 0 and result.outcome.leaves_a_model
 

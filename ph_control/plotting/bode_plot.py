@@ -34,7 +34,7 @@ from .response_picture import (
     draw_responses,
     is_logarithmic,
 )
-from .style import LineStyle, Look, frequency_axis, plain, told_gain_unit
+from .style import AxesGiven, LineStyle, Look, frequency_axis, plain, told_gain_unit
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -73,7 +73,7 @@ def bode_plot(
     gain_unit: str | None = None,
     label: str | Sequence[str] | None = None,
     data_label: str | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Bode plot that shows every resonance and antiresonance, and measurements with it.

@@ -16,7 +16,7 @@ from ..controllers.damping_injection import controller_of, damping_injection, pl
 from ..exceptions import StructureError
 from ..systems.port_hamiltonian import PortHamiltonian
 from .inputs import subjects_of, title_of
-from .style import LineStyle, Look, frequency_axis, labelled, picture
+from .style import AxesGiven, LineStyle, Look, frequency_axis, labelled, picture
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -35,7 +35,7 @@ def damping_plot(
     factors: ArrayLike | None = None,
     Hz: bool = False,
     time_unit: str | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Damping of the modes of a loop over the strength of its controller, and the locus of its poles.

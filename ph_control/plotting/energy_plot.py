@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import control as ct
 
@@ -13,7 +13,7 @@ from ..analysis.energy import EnergyBalance
 from ..analysis.passivity import PassivityReport
 from ..exceptions import StructureError
 from .inputs import as_list
-from .style import ZERO, LineStyle, Look, extremes, labelled, picture, plain
+from .style import ZERO, AxesGiven, LineStyle, Look, extremes, labelled, picture, plain
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -30,7 +30,7 @@ def energy_plot(
     time_unit: str | None = None,
     energy_unit: str | None = None,
     label: str | Sequence[str] | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     r"""Energy stored along a response and supplied to it, and the difference below.
@@ -111,7 +111,7 @@ def energy_plot(
         return drawn.finished("Energy balance")
 
 
-def passivity_plot(report: PassivityReport, *, ax: Any = None, **style: Unpack[LineStyle]) -> ct.ControlPlot:
+def passivity_plot(report: PassivityReport, *, ax: AxesGiven = None, **style: Unpack[LineStyle]) -> ct.ControlPlot:
     """Smallest eigenvalue of `(G + G^H) / 2`, or largest singular value of `S`, with the active bands shaded.
 
     Parameters

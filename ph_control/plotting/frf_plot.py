@@ -37,6 +37,7 @@ from .response_picture import (
 from .style import (
     DOTS,
     ZERO,
+    AxesGiven,
     LineStyle,
     Look,
     checked_limits,
@@ -87,7 +88,7 @@ def frf_plot(
     scale: AxisScale | None = None,
     parts: Parts = "magnitude-phase",
     negative_imaginary: bool | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Frequency responses of all inputs and outputs, with the measurement as dots beneath the model.
@@ -193,7 +194,7 @@ def nyquist_plot(
     negative_imaginary: bool | None = None,
     time_unit: str | None = None,
     gain_unit: str | Sequence[str] | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Imaginary over real part of frequency responses, with the measurement as dots beneath the model.

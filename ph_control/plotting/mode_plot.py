@@ -20,7 +20,7 @@ from ..modal.general_form import invariant_zeros
 from ..numerics.rational import poles as poles_of
 from ..systems.port_hamiltonian import modes as modes_of
 from .inputs import Subject, is_fit, subjects_of, title_of
-from .style import LineStyle, Look, MarkStyle, Picture, frequency_axis, labelled, picture, plain
+from .style import AxesGiven, LineStyle, Look, MarkStyle, Picture, frequency_axis, labelled, picture, plain
 
 WeightKind = Literal["kappa", "r"]
 
@@ -57,7 +57,7 @@ def modes_plot(
     time_unit: str | None = None,
     gain_unit: str | None = None,
     label: str | Sequence[str] | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Modes: a stem at each natural frequency, as high as its weight; with losses also the damping ratios.
@@ -305,7 +305,7 @@ def pole_zero_plot(
     Hz: bool = False,
     time_unit: str | None = None,
     label: str | Sequence[str] | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[MarkStyle],
 ) -> ct.ControlPlot:
     """Poles and zeros; those of lossless systems along the imaginary axis, where they alternate.
@@ -456,10 +456,11 @@ def _cuts(marks: Array, poles: Array, count: int) -> list[float]:
     return sorted(set(cuts))
 
 
-def _draw_strips(ax: Any, maps: list[PoleZeroMap], unit: float, unit_name: str, look: Look) -> Picture:
-    ranges = strips(maps, None if ax is None else max(1, int(np.size(ax))))
-    if ax is not None and np.size(ax) > len(ranges):
-        raise StructureError(f"ax has {np.size(ax)} axes, but there are poles for {len(ranges)} only; pass as many")
+def _draw_strips(ax: AxesGiven, maps: list[PoleZeroMap], unit: float, unit_name: str, look: Look) -> Picture:
+    given = None if ax is None else np.asarray(ax, object).size
+    ranges = strips(maps, None if given is None else max(1, given))
+    if given is not None and given > len(ranges):
+        raise StructureError(f"ax has {given} axes, but there are poles for {len(ranges)} only; pass as many")
     height = 0.55 + (0.35 if len(maps) == 1 else 0.45) * len(maps)
     drawn = picture(look, ax, (len(ranges), 1), (7.2, 1.0 + len(ranges) * height))
     for row, (axis, (low, high)) in enumerate(zip(drawn.axes[:, 0], ranges, strict=True)):

@@ -14,7 +14,7 @@ from .. import _checks
 from .._options import AXIS_SCALES
 from .._types import Array, ComplexArray, Indices, Mask
 from .._units import parted
-from .style import BAND, DOTS, ZERO, Look, Picture, PlainLogFormatter, gain_label, labelled, picture, plain
+from .style import BAND, DOTS, ZERO, AxesGiven, Look, Picture, PlainLogFormatter, gain_label, labelled, picture, plain
 
 _SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
 _DOT = 1 / 1200  # of the width of a picture
@@ -382,8 +382,8 @@ class DrawnResponses:
 
 
 def draw_responses(
-    responses: DrawnResponses, look: Look, ax: Any, parts: Sequence[str], scale: Scale, units: Sequence[str | None],
-    wide: int = 1, meaning: str = "",
+    responses: DrawnResponses, look: Look, ax: AxesGiven, parts: Sequence[str], scale: Scale,
+    units: Sequence[str | None], wide: int = 1, meaning: str = "",
 ) -> Picture:  # fmt: skip
     """Panels of all entries, the parts of each below one another; a unit for each output."""
     cells, (rows, columns) = responses.cells(wide if ax is None else 1)

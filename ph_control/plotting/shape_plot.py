@@ -31,6 +31,7 @@ from .response_picture import Curve
 from .style import (
     DOTS,
     ZERO,
+    AxesGiven,
     FrameStyle,
     LineStyle,
     Look,
@@ -72,7 +73,7 @@ def shape_plot(
     position_label: str | None = None,
     position_unit: str | None = None,
     shape_unit: str | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Mode shapes over the positions of the sensors, a panel for each mode.
@@ -182,7 +183,7 @@ def mac_plot(
     *,
     label: Sequence[str] | None = None,
     time_unit: str | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Modal assurance criterion of all pairs of mode shapes, as a matrix of grey cells.
@@ -266,7 +267,7 @@ def circle_plot(
     intersample: ResponseInterpolation | None = None,
     time_unit: str | None = None,
     gain_unit: str | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Nyquist curves of the model near each resonance, with the measured points there.

@@ -27,7 +27,7 @@ from ..numerics.rational import state_space
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import ph
 from .inputs import Subject, is_fit, models_around, subjects_of, timebase, title_of
-from .style import BAND, DOTS, ZERO, LineStyle, Look, extremes, labelled, picture, plain
+from .style import BAND, DOTS, ZERO, AxesGiven, LineStyle, Look, extremes, labelled, picture, plain
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -51,7 +51,7 @@ def step_plot(
     sysdata: Any, timepts: ArrayLike | None = None, *, timepts_num: int | None = None,
     data: ct.TimeResponseData | None = None, confidence: Any = None, level: float = 0.95, time_unit: str | None = None,
     output_unit: str | None = None, label: str | Sequence[str] | None = None, data_label: str | None = None,
-    ax: Any = None, **style: Unpack[LineStyle],
+    ax: AxesGiven = None, **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:  # fmt: skip
     """Responses to a unit step, in which no motion is lost between samples.
 
@@ -121,7 +121,7 @@ def impulse_plot(
     sysdata: Any, timepts: ArrayLike | None = None, *, timepts_num: int | None = None,
     data: ct.TimeResponseData | None = None, confidence: Any = None, level: float = 0.95, time_unit: str | None = None,
     output_unit: str | None = None, label: str | Sequence[str] | None = None, data_label: str | None = None,
-    ax: Any = None, **style: Unpack[LineStyle],
+    ax: AxesGiven = None, **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:  # fmt: skip
     """Responses to a unit impulse, in which no motion is lost between samples.
 
@@ -159,7 +159,7 @@ def impulse_plot(
 
 def _transient_plot(
     kind: str, sysdata: Any, timepts: Any, timepts_num: Any, options: Mapping[str, Any], time_unit: str | None,
-    output_unit: str | None, ax: Any, style: Mapping[str, Any],
+    output_unit: str | None, ax: AxesGiven, style: Mapping[str, Any],
 ) -> ct.ControlPlot:  # fmt: skip
     look = Look.of(style)
     numbers = transient_data(sysdata, kind, timepts, timepts_num, **options)

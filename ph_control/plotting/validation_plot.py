@@ -33,6 +33,7 @@ from .style import (
     MEASURED,
     SAMPLES,
     ZERO,
+    AxesGiven,
     FrameStyle,
     Look,
     PlainLogFormatter,
@@ -74,7 +75,7 @@ def response_comparison_plot(
     gain_unit: str | None = None,
     scale: str | None = None,
     heading: str,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Magnitudes of all models over the measured one, phases below, and the size of the errors.
@@ -135,7 +136,7 @@ def channel_comparison_plot(
     gain_unit: str | None = None,
     detail: Any = "auto",
     heading: str,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Outputs of all models over those measured, a panel for each of c channels.
@@ -242,7 +243,7 @@ class ResponsePanel:
 
 
 def residual_panels_plot(
-    given: Sequence[CorrelationPanel | ResponsePanel], heading: str, ax: Any = None, *, folded: bool = False,
+    given: Sequence[CorrelationPanel | ResponsePanel], heading: str, ax: AxesGiven = None, *, folded: bool = False,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:  # fmt: skip
     """Panels below one another with a legend for each kind of them, or `folded`, in rows of three with one legend."""
@@ -276,7 +277,7 @@ def order_selection_plot(
     criterion: str,
     time_unit: str | None = None,
     Hz: bool = False,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Natural frequencies of each order, and what each criterion has above its least value."""
@@ -344,7 +345,7 @@ def stabilisation_plot(
     Hz: bool | None = None,
     scale: AxisScale | None = None,
     time_unit: str | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Stabilisation diagram: natural frequencies of models of several orders, and which of them stay.
@@ -618,7 +619,9 @@ def channel_correlations(residuals: NDArray[Any], labels: Sequence[str]) -> list
     return panels
 
 
-def hypothesis_plot(tests: Any, *, level: float = 0.05, ax: Any = None, **style: Unpack[FrameStyle]) -> ct.ControlPlot:
+def hypothesis_plot(
+    tests: Any, *, level: float = 0.05, ax: AxesGiven = None, **style: Unpack[FrameStyle]
+) -> ct.ControlPlot:
     """Table of the tests of a fit: hypothesis, likelihood ratio, degrees of freedom, p-value, and what follows.
 
     Parameters

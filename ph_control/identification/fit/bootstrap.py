@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from ..structure.constrained import StructuredFit, constrained
 from ..structure.layout import ChannelLayout, weights_of
 from ..uncertainty.draws import draws_from, tail_of
 from ..uncertainty.modal_draws import ModalSamples
+
+if TYPE_CHECKING:
+    from .pem_result import PEMResult
 
 _EXACT = 1e-4  # of the noise variance: decrease of the sum of squares at which a refit takes its last step
 
@@ -268,7 +271,7 @@ class Resampled:
         return Bootstrap(poles, residues, through, r, states, offsets, failed, self.background, *late)
 
 
-def _parts(result: Any) -> tuple[NDArray[Any], ...]:
+def _parts(result: PEMResult) -> tuple[NDArray[Any], ...]:
     """What a bootstrap has of each estimate."""
     r = result.r if result._has_weights else np.zeros(0)
     states = result.initial_states if result._moves_as_state else (np.zeros(0),)
@@ -277,13 +280,14 @@ def _parts(result: Any) -> tuple[NDArray[Any], ...]:
 
 
 def _drawn(
-    result: Any, poles: ComplexArray, residues: ComplexArray, through: Array, motions: list[ComplexArray],
+    result: PEMResult, poles: ComplexArray, residues: ComplexArray, through: Array, motions: list[ComplexArray],
     offsets: list[Array],
-) -> Any:  # fmt: skip
+) -> PEMResult:  # fmt: skip
     """The result with another estimate."""
     lossless = result.structure == "lossless" and result._has_weights
     r = weights_of(poles, residues[:, 0, 0], result.quantity) if lossless else None
-    experiments = []
+    experiments: Any = []
+    data: Any
     for data, motion, offset in zip(result.experiments, motions, offsets, strict=True):
         if isinstance(data, FittedChannels):
             data = replace(data, free_amplitudes=motion[:, : data.free_amplitudes.shape[1]], offsets=offset)
@@ -310,7 +314,7 @@ class _Refit:
     count: int  # of these
 
     @classmethod
-    def of(cls, result: Any) -> _Refit:
+    def of(cls, result: PEMResult) -> _Refit:
         """Make it of a result."""
         channels: Any = as_channels([experiment.record for experiment in result.experiments])
         if isinstance(channels[0], Recording):
@@ -396,7 +400,7 @@ class _Refit:
         return motions, offsets
 
 
-def _on_background(rows: Sequence[FreeResponse], result: Any) -> list[FreeResponse]:
+def _on_background(rows: Sequence[FreeResponse], result: PEMResult) -> list[FreeResponse]:
     """Responses on the background of a result."""
     parts = [
         experiment.background.coefficients.reshape(5, -1) for experiment in result.experiments if experiment.background

@@ -39,6 +39,10 @@ class Foretelling(FittedModes):
         method: Discretisation
         intersample: Interpolation
 
+        @property
+        def offsets(self) -> Array:
+            """Constants of the outputs."""
+
         @cached_property
         def system(self) -> PortHamiltonian | ct.StateSpace:
             """The model."""
@@ -204,17 +208,17 @@ class Foretelling(FittedModes):
 # --- some steps ahead ------------------------------------------------------------------------------------------------
 
 
-def grows(result: Any) -> bool:
+def grows(result: Foretelling) -> bool:
     """Whether a fit has a pole that grows, so that inputs alone do not tell where the plant is."""
     return result.noise is not None and bool(growing(result._step(result.noise.dt)).any())
 
 
-def is_simulated(result: Any) -> bool:
+def is_simulated(result: Foretelling) -> bool:
     """Whether outputs of the past tell a fit nothing, so that it foretells what it simulates."""
     return result.noise is None or (result.noise.is_white and not grows(result))
 
 
-def ahead(result: Any, simulated: Array, y: Array, dt: float, horizon: int) -> Array:
+def ahead(result: Foretelling, simulated: Array, y: Array, dt: float, horizon: int) -> Array:
     """Outputs (p, T) predicted so many steps ahead, where a simulation of the plant is known."""
     noise = _noise_at(result, dt)
     if noise.is_white:
@@ -225,7 +229,7 @@ def ahead(result: Any, simulated: Array, y: Array, dt: float, horizon: int) -> A
     return simulated + result._beside_simulation.foretold(np.zeros((0, rest.shape[1])), rest, horizon)
 
 
-def ahead_of_growth(result: Any, u: Array, y: Array, dt: float, horizon: int, moving: bool) -> Array:
+def ahead_of_growth(result: Foretelling, u: Array, y: Array, dt: float, horizon: int, moving: bool) -> Array:
     """The same of a plant with a pole that grows, whose simulation leaves the outputs behind.
 
     The state at the first sample, and constants where the fit has them, are those that leave the least to be told;
@@ -239,7 +243,7 @@ def ahead_of_growth(result: Any, u: Array, y: Array, dt: float, horizon: int, mo
     return np.asarray(filter.foretold(u, y - offset[:, None], horizon, start) + offset[:, None])
 
 
-def _noise_at(result: Any, dt: float) -> NoiseModel:
+def _noise_at(result: Foretelling, dt: float) -> NoiseModel:
     """Noise of a fit at a step, which has to be its own where samples of the past tell anything."""
     noise: NoiseModel = result._noise_in_time
     if not is_simulated(result) and abs(dt - noise.dt) > _SAME_STEP * noise.dt:
