@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import wraps
 from inspect import signature
 from typing import Any, TypeVar, cast, overload
@@ -226,8 +227,8 @@ def step_response(
         def drive(port: int) -> tuple[Array, Any]:
             return np.eye(sys.ninputs)[:, port, None] * np.ones(t.size), initial_state
 
-        shown = input_indices, output_indices
-        return _traces(sys, t, drive, "Step", shown, method, intersample, transpose, squeeze, return_states)
+        layout = _Layout(input_indices, output_indices, transpose, squeeze, return_states)
+        return _traces(sys, t, drive, "Step", layout, method, intersample)
 
     def of_other(sys: Any, t: Array) -> TimeResponseData:
         _checks.choice("intersample", intersample, INTERPOLATIONS)
@@ -295,8 +296,8 @@ def impulse_response(
         def drive(port: int) -> tuple[Array, Any]:
             return np.zeros((sys.ninputs, t.size)), sys.B[:, port]
 
-        shown = input_indices, output_indices
-        return _traces(sys, t, drive, "Impulse", shown, method, "zoh", transpose, squeeze, return_states)
+        layout = _Layout(input_indices, output_indices, transpose, squeeze, return_states)
+        return _traces(sys, t, drive, "Impulse", layout, method, "zoh")
 
     def of_other(sys: Any, t: Array) -> TimeResponseData:
         picked = _chosen("input", input_indices, sys.ninputs), _chosen("output", output_indices, sys.noutputs)
@@ -417,13 +418,24 @@ def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) 
     return default_time_vector(np.concatenate(visible), tfinal, samples)
 
 
+@dataclass(frozen=True)
+class _Layout:
+    """Inputs and outputs of a response that are shown, and the order and number of its axes as in python-control."""
+
+    input: Any
+    output: Any
+    transpose: bool
+    squeeze: bool | None
+    return_states: bool
+
+
 def _traces(
-    sys: LosslessSystem, t: Array, drive: Callable[[int], tuple[Array, Any]], kind: str, indices: tuple[Any, Any],
-    method: Discretisation, intersample: Interpolation, transpose: bool, squeeze: bool | None, return_states: bool,
+    sys: LosslessSystem, t: Array, drive: Callable[[int], tuple[Array, Any]], kind: str, layout: _Layout,
+    method: Discretisation, intersample: Interpolation,
 ) -> TimeResponseData:  # fmt: skip
     """Responses to one input at a time, as python-control lays them out."""
-    rows, one_output = _selected("output", indices[1], sys.noutputs)
-    shown, one_input = _selected("input", indices[0], sys.ninputs)
+    rows, one_output = _selected("output", layout.output, sys.noutputs)
+    shown, one_input = _selected("input", layout.input, sys.ninputs)
     ports = range(sys.ninputs)[shown]
     problems = [_Problem(sys, t, *drive(port), method, intersample) for port in ports]
     y = np.stack([problem.outputs()[rows] for problem in problems], axis=1)
@@ -432,8 +444,8 @@ def _traces(
         lambda: np.stack([problem.states() for problem in problems], axis=1), sys, t, problems[0].rule, y,
         inputs=np.stack(drives, axis=1), issiso=sys.issiso() or (one_output and one_input),
         output_labels=sys.output_labels[rows], input_labels=sys.input_labels[shown],
-        title=f"{kind} response for {sys.name}", transpose=transpose, return_x=bool(return_states),
-        squeeze=squeeze, sysname=sys.name, trace_labels=[f"From {sys.input_labels[port]}" for port in ports],
+        title=f"{kind} response for {sys.name}", transpose=layout.transpose, return_x=bool(layout.return_states),
+        squeeze=layout.squeeze, sysname=sys.name, trace_labels=[f"From {sys.input_labels[port]}" for port in ports],
         trace_types=[kind.lower()] * len(ports), plot_inputs=False,
     )  # fmt: skip
 

@@ -466,7 +466,7 @@ def _draw_strips(ax: AxesGiven, maps: list[PoleZeroMap], unit: float, unit_name:
     for row, (axis, (low, high)) in enumerate(zip(drawn.axes[:, 0], ranges, strict=True)):
         drawn.lines[row, 0] = []
         for k, chart in enumerate(maps):
-            drawn.lines[row, 0] += _draw_row(axis, chart, -k, low, high, unit, look.line, len(maps) > 1)
+            drawn.lines[row, 0] += _draw_row(axis, chart, -k, (low, high), unit, look.line, len(maps) > 1)
         _strip_axis(axis, maps, low / unit, high / unit, drawn.lines[row, 0])
         if look.grid:
             axis.grid(True, axis="x", linewidth=0.5, alpha=0.6)
@@ -475,9 +475,16 @@ def _draw_strips(ax: AxesGiven, maps: list[PoleZeroMap], unit: float, unit_name:
 
 
 def _draw_row(
-    axis: Axes, chart: PoleZeroMap, height: int, low: float, high: float, unit: float, line: dict[str, Any], named: bool
+    axis: Axes,
+    chart: PoleZeroMap,
+    height: int,
+    ends: tuple[float, float],
+    unit: float,
+    line: dict[str, Any],
+    named: bool,
 ) -> list[Any]:
     axis.axhline(height, **_AXIS)
+    low, high = ends
     poles, zeros = (w[(w >= low) & (w < high)] / unit for w in chart.upper)
     labels = chart.counts
     if named:

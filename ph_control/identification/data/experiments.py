@@ -201,7 +201,7 @@ def one_recording(data: Any, dt: Any, outputs: int) -> Recording:
     if blind:
         u = np.atleast_2d(_checks.real_array("the input", data[0]))
         data = (u, np.zeros((outputs, u.shape[1])))
-    channels: Any = as_channels(data, dt if isinstance(data, tuple) else None)
+    channels = as_channels(data, dt if isinstance(data, tuple) else None)
     if len(channels) > 1 or isinstance(channels[0], ResponseMatrix):
         raise StructureError(f"data is a {type(data).__name__} of {len(channels)} experiments; pass one time record")
     record: Recording = several(channels[0])

@@ -31,7 +31,7 @@ from ..._threads import on_one_thread
 from ..._types import ArrayLike, RandomSource
 from ..._workers import check_workers
 from ...exceptions import IdentifiabilityWarning, StructureError
-from ..data.channels import ResponseHold
+from ..data.channels import Channels, ResponseHold
 from ..data.experiments import as_channels
 from ..data.hammer import contacts_alone
 from ..data.quantities import ports_of, quantity_of
@@ -252,7 +252,7 @@ def pem(
     quantity = quantity_of(data) if quantity is None else quantity
     ports = ports_of(data, quantity) if ports is None else ports
     function = _checked_model(model, parameters, bounds, structure)
-    channels: Any = as_channels(data, dt, weights=weights, window=window, hold=intersample)
+    channels = as_channels(data, dt, weights=weights, window=window, hold=intersample)
     others = _otherwise_sampled(data, channels, intersample)
     held = _of_records(intersample, channels)
     options = Options.checked(
@@ -284,7 +284,7 @@ def pem(
     return result
 
 
-def _otherwise_sampled(data: Any, channels: Any, intersample: FittedInterpolation) -> tuple[ResponseHold, ...]:
+def _otherwise_sampled(data: Any, channels: Channels, intersample: FittedInterpolation) -> tuple[ResponseHold, ...]:
     """How windowed responses that do not tell it may have been estimated otherwise."""
     every = data if isinstance(data, list | tuple) else [data]
     stated = any(getattr(part, "dt", None) or getattr(part, "intersample", None) for part in every)
@@ -315,7 +315,7 @@ def _checked_model(model: Any, parameters: Any, bounds: Any, structure: str) -> 
     return ModelFunction.checked(model, parameters, bounds)
 
 
-def _of_records(intersample: FittedInterpolation, channels: Any) -> InterpolationOrAuto:
+def _of_records(intersample: FittedInterpolation, channels: Channels) -> InterpolationOrAuto:
     """What is assumed of the inputs of records; those of windowed responses have theirs in the window."""
     if intersample != "bandlimited":
         return intersample
@@ -327,7 +327,7 @@ def _of_records(intersample: FittedInterpolation, channels: Any) -> Interpolatio
     return "zoh"
 
 
-def _beside_hammer_noise(channels: Any, fit: Any) -> PEMResult:
+def _beside_hammer_noise(channels: Channels, fit: Any) -> PEMResult:
     """Fit with the force of a hammer 0 outside its contacts, where that explains the outputs better."""
     hits = contacts_alone(channels)
     if hits is None:

@@ -23,7 +23,7 @@ from ...plotting.validation_plot import order_selection_plot
 from ..data.channels import refuse_still
 from ..data.experiments import as_channels
 from ..data.quantities import checked_quantities, quantity_of
-from ..search.channel_rows import RowOptions
+from ..search.channel_rows import Experiments, RowOptions
 from ..search.path import FreePath, SearchOptions
 from ..search.progress import Callback, reporter
 from ..search.starting_poles import poles_of
@@ -241,7 +241,7 @@ def order_selection(
     part = _part(holdout)
     check_workers(workers)
     quantity = options.get("quantity") or quantity_of(data)
-    channels: Any = as_channels(data, dt, weights=weights)
+    channels = as_channels(data, dt, weights=weights)
     quantities = checked_quantities(quantity, channels[0].output_labels)
     moving = _checks.choice("initial_state", options.get("initial_state", "estimate"), INITIAL_STATES) == "estimate"
     hold = _checks.choice("intersample", options.get("intersample", "auto"), INTERPOLATIONS_OR_AUTO)
@@ -252,7 +252,7 @@ def order_selection(
 
     form = RowOptions(quantities, hold, int(bool(offset)), moving, method)
 
-    def path_for(channels: Any) -> FreePath:
+    def path_for(channels: Experiments) -> FreePath:
         return FreePath.of(channels, form)
 
     path = path_for(channels)
