@@ -227,7 +227,7 @@ def step_response(
         def drive(port: int) -> tuple[Array, Any]:
             return np.eye(sys.ninputs)[:, port, None] * np.ones(t.size), initial_state
 
-        layout = _Layout(input_indices, output_indices, transpose, squeeze, return_states)
+        layout = _TraceLayout(input_indices, output_indices, transpose, squeeze, return_states)
         return _traces(sys, t, drive, "Step", layout, method, intersample)
 
     def of_other(sys: Any, t: Array) -> TimeResponseData:
@@ -296,7 +296,7 @@ def impulse_response(
         def drive(port: int) -> tuple[Array, Any]:
             return np.zeros((sys.ninputs, t.size)), sys.B[:, port]
 
-        layout = _Layout(input_indices, output_indices, transpose, squeeze, return_states)
+        layout = _TraceLayout(input_indices, output_indices, transpose, squeeze, return_states)
         return _traces(sys, t, drive, "Impulse", layout, method, "zoh")
 
     def of_other(sys: Any, t: Array) -> TimeResponseData:
@@ -419,7 +419,7 @@ def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) 
 
 
 @dataclass(frozen=True)
-class _Layout:
+class _TraceLayout:
     """Inputs and outputs of a response that are shown, and the order and number of its axes as in python-control."""
 
     input: Any
@@ -430,7 +430,7 @@ class _Layout:
 
 
 def _traces(
-    sys: LosslessSystem, t: Array, drive: Callable[[int], tuple[Array, Any]], kind: str, layout: _Layout,
+    sys: LosslessSystem, t: Array, drive: Callable[[int], tuple[Array, Any]], kind: str, layout: _TraceLayout,
     method: Discretisation, intersample: Interpolation,
 ) -> TimeResponseData:  # fmt: skip
     """Responses to one input at a time, as python-control lays them out."""
