@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from operator import index
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,8 @@ LARGEST = 1e153  # so that products of two entries, and sums of them, stay in th
 SMALLEST = 1e-300  # so that reciprocals do, and that sixteen digits are kept
 SMALLEST_SQUARED = 1e-153  # so that squares do
 TINY = float(np.finfo(float).tiny)
+
+Choice = TypeVar("Choice", bound=str)
 
 
 def readonly(array: NDArray[Any]) -> NDArray[Any]:
@@ -44,12 +46,12 @@ def shown(value: Any) -> str:
 def labels(value: Any, count: int, what: str) -> list[str]:
     """Texts of a label, or of several: one for each of so many things."""
     try:
-        found = [value] if isinstance(value, str) else [str(one) for one in value]
+        texts = [value] if isinstance(value, str) else [str(part) for part in value]
     except (TypeError, OSError):  # python-control raises the last on being iterated
         raise StructureError(f"label is {shown(value)}; give a text, or a list of them") from None
-    if len(found) != count:
-        raise StructureError(f"{len(found)} labels for {count} {what}; give one for each")
-    return found
+    if len(texts) != count:
+        raise StructureError(f"{len(texts)} labels for {count} {what}; give one for each")
+    return texts
 
 
 def unit_text(unit: Any) -> str:
@@ -411,8 +413,8 @@ def _nearest_grid(t: Array, step: float, allowed: float) -> tuple[float, float]:
     """Step of the grid of least distance to the instants, and the distance: its first instant may be off it, too."""
     share = np.linspace(0.0, 1.0, t.size)
     rest = (t - t[0] - step * np.arange(float(t.size))) / allowed
-    found = minimize_scalar(lambda tilt: 0.5 * np.ptp(rest - tilt * share), bounds=(-2.5, 2.5), method="bounded")
-    return step + float(found.x) * allowed / (t.size - 1), float(found.fun) * allowed
+    minimum = minimize_scalar(lambda tilt: 0.5 * np.ptp(rest - tilt * share), bounds=(-2.5, 2.5), method="bounded")
+    return step + float(minimum.x) * allowed / (t.size - 1), float(minimum.fun) * allowed
 
 
 def _refuse_instants(t: Array, off: float, allowed: float, name: str) -> None:
@@ -458,11 +460,11 @@ def sampling_step(dt: Any, *, name: str = "dt") -> float:
     return step
 
 
-def choice(name: str, value: Any, allowed: tuple[str, ...]) -> str:
+def choice(name: str, value: Any, allowed: tuple[Choice, ...]) -> Choice:
     """Check a keyword that names one of a few ways."""
     if not (isinstance(value, str) and value in allowed):
         raise StructureError(f"{name} is {value!r}; it must be one of {', '.join(map(repr, allowed))}")
-    return str(value)
+    return allowed[allowed.index(value)]
 
 
 def whole_number(name: str, value: Any, least: int | None = None, most: float = np.inf) -> int:
@@ -553,8 +555,8 @@ def signal_names(names: Mapping[str, Any], **sizes: int) -> None:
         count = given
         if not is_whole(given):
             listed = given if isinstance(given, list | tuple) else [given]
-            for one in listed:
-                _text(f"one of the {kind}", one)
+            for name in listed:
+                _text(f"one of the {kind}", name)
             count = len(set(listed))
         if count != size:
             raise StructureError(f"{shown(count)} names given for {size} {kind}; give one name for each, all different")
@@ -579,7 +581,7 @@ def without_dots(labels: Sequence[str]) -> list[str]:
 def port_pairs(ports: Any, outputs: Sequence[str], inputs: Sequence[str]) -> tuple[tuple[int, int], ...]:
     """Numbers of the output and the input of each port, given by labels or numbers, as pairs or as a mapping."""
     try:
-        listed = [(one, other) for one, other in (ports.items() if isinstance(ports, Mapping) else ports)]
+        listed = [(output, input) for output, input in (ports.items() if isinstance(ports, Mapping) else ports)]
         if any(isinstance(pair, str) for pair in ports) and not isinstance(ports, Mapping):
             raise TypeError
     except (TypeError, ValueError, OSError):  # python-control raises the last on being iterated
@@ -589,7 +591,7 @@ def port_pairs(ports: Any, outputs: Sequence[str], inputs: Sequence[str]) -> tup
     sides = []
     for k, (role, labels) in enumerate((("output", outputs), ("input", inputs))):
         chosen = [signal_number(role, pair[k], labels) for pair in listed]
-        repeated = [one for one in chosen if chosen.count(one) > 1]
+        repeated = [number for number in chosen if chosen.count(number) > 1]
         if repeated:
             label = labels[repeated[0]]
             raise StructureError(f"{role} {label!r} is at {chosen.count(repeated[0])} ports; each belongs to one")
@@ -636,7 +638,7 @@ def random_generator(rng: Any) -> np.random.Generator:
     try:
         # an array in numpy's own hands may end in a recursion that no handler catches, as np.matrix does
         if rng is not None and not isinstance(rng, sources):
-            rng = [index(one) for one in rng] if isinstance(rng, Sequence | np.ndarray) else index(rng)
+            rng = [index(part) for part in rng] if isinstance(rng, Sequence | np.ndarray) else index(rng)
         return np.random.default_rng(rng)
     except (TypeError, ValueError, OverflowError):
         raise StructureError(f"rng is {shown(rng)}; pass a numpy Generator, a seed >= 0, or None") from None

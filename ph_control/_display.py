@@ -69,10 +69,10 @@ def fits_in_a_formula(sys: Any) -> bool:
 def latex_response(modes: Any) -> str:
     """Transfer function of a modal form as partial fractions, written out if they are few."""
     if modes.nports != 1 or modes.n > _TERMS:
-        one = modes.nports == 1
-        free = (r"\frac{\kappa_0}{s} + " if one else r"\frac{K_0}{s} + ") * bool(len(modes.rigid))
-        weight = r"\kappa_l s" if one else r"\mathrm{Re} K_l s + \mathrm{Im} K_l d_l"
-        meaning = "" if one else r", \quad K_l = d_l \bar\nu_l \nu_l^\top"
+        scalar = modes.nports == 1
+        free = (r"\frac{\kappa_0}{s} + " if scalar else r"\frac{K_0}{s} + ") * bool(len(modes.rigid))
+        weight = r"\kappa_l s" if scalar else r"\mathrm{Re} K_l s + \mathrm{Im} K_l d_l"
+        meaning = "" if scalar else r", \quad K_l = d_l \bar\nu_l \nu_l^\top"
         return rf"G(s) = {free}\sum_{{l=1}}^{{{len(modes.d)}}} \frac{{{weight}}}{{s^2 + d_l^2}}{meaning}"
     terms = [rf"\frac{{{latex_number(modes.kappa_0)}}}{{s}}"] * bool(len(modes.rigid))
     terms += [

@@ -1,11 +1,22 @@
-"""Kinds of arrays that signatures name."""
+"""Kinds of arrays that signatures name, and what random numbers come from."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Array", "ArrayLike", "ComplexArray", "Indices", "Mask", "NDArray"]
+__all__ = ["Array", "ArrayLike", "ComplexArray", "Indices", "Mask", "NDArray", "RandomSource"]
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
+RandomSource = (
+    np.random.Generator
+    | np.random.BitGenerator
+    | np.random.SeedSequence
+    | np.random.RandomState
+    | Sequence[int]
+    | int
+    | None
+)

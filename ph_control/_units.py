@@ -7,13 +7,15 @@ never shown.  Data, and results of fits, tell theirs by an attribute `time_unit`
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from . import _checks
-from ._choices import QUANTITIES
+from ._options import QUANTITIES
 from .exceptions import StructureError
+
+Data = TypeVar("Data")
 
 # what an output measures, as a derivative of a displacement; of any other sensor nothing is known
 DERIVATIVES = {name: quantity.derivatives for name, quantity in QUANTITIES.items()}
@@ -67,17 +69,17 @@ def checked_unit(value: Any) -> str | None:
     return unit
 
 
-def with_unit(data: Any, unit: str | None) -> Any:
+def with_unit(data: Data, unit: str | None) -> Data:
     """The same data, told its unit of time."""
-    data.time_unit = unit
+    data.time_unit = unit  # type: ignore[attr-defined]
     return data
 
 
 def common_unit(*things: Any) -> str | None:
     """Unit of time of data, results and lists of these, where any tells one; two of them are refused."""
-    flat = [one for thing in things for one in (thing if isinstance(thing, list | tuple) else [thing])]
-    found = dict.fromkeys(checked_unit(getattr(one, "time_unit", None)) for one in flat)
-    units = [unit for unit in found if unit is not None]
+    flat = [source for thing in things for source in (thing if isinstance(thing, list | tuple) else [thing])]
+    stated = dict.fromkeys(checked_unit(getattr(source, "time_unit", None)) for source in flat)
+    units = [unit for unit in stated if unit is not None]
     if len(units) > 1:
         raise StructureError(
             f"the times are in {units[0]} here and in {units[1]} there, so that frequencies mean different things; "

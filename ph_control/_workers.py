@@ -48,17 +48,17 @@ def mapped(function: Callable[[Any], Any], items: Sequence[Any], workers: Any, k
     """Results of a kind in the order of the items; the first error is raised."""
     if callable(workers) and not _submits(workers):
         try:
-            found = workers(function, items)
+            answer = workers(function, items)
         except TypeError as error:
             shown = _checks.shown(workers)
             raise StructureError(
                 f"workers is {shown}, which does not take a function and a list as a map does: {error}"
             ) from error
-        given = list(islice(found, len(items) + 1)) if np.iterable(found) else []
-        if len(given) != len(items) or not all(isinstance(one, kind) for one in given):
+        given = list(islice(answer, len(items) + 1)) if np.iterable(answer) else []
+        if len(given) != len(items) or not all(isinstance(result, kind) for result in given):
             raise StructureError(
                 f"workers is to give one result for each of {len(items)} items, in their order, as the built-in map "
-                f"does; it gave {_checks.shown(given or found)}"
+                f"does; it gave {_checks.shown(given or answer)}"
             )
         return given
     if len(items) < 2 or _is_one(workers):
@@ -124,20 +124,20 @@ def completed(function: Callable[[Any], Any], items: Iterable[Any], workers: Any
                     lost = []
                     said = f"each of {_DEATHS} processes that worked on it died, as by a lack of memory"
                     yield place, None, PHControlError(said)
-            suspects = sorted(lost + again, key=lambda one: one[0]) + suspects
+            suspects = sorted(lost + again, key=lambda item: item[0]) + suspects
     finally:
         pool.stop(list(under_way))
 
 
 def _taken(source: Iterator[tuple[int, Any]], size: int) -> list[tuple[int, Any]]:
     """The next items, fewer than asked for where they come slowly."""
-    found = []
+    taken = []
     end = time.perf_counter() + _SECONDS
-    for one in source:
-        found.append(one)
-        if len(found) >= size or time.perf_counter() > end:
+    for item in source:
+        taken.append(item)
+        if len(taken) >= size or time.perf_counter() > end:
             break
-    return found
+    return taken
 
 
 def _together(function: Callable[[Any], Any], items: Sequence[Any]) -> tuple[list[Any], float]:

@@ -35,14 +35,14 @@ class PHControlError(Exception):
 
 def shortened(text: str) -> str:
     """Text without the middle of words of hundreds of letters, nor that of thousands of words."""
-    text = re.sub(r"\S{400,}", lambda found: f"{found[0][:150]}...{found[0][-150:]}", text)
+    text = re.sub(r"\S{400,}", lambda match: f"{match[0][:150]}...{match[0][-150:]}", text)
     return text if len(text) < 8000 else f"{text[:5000]} ... {text[-2000:]}"
 
 
 def printable(text: str, *, one_line: bool = False) -> str:
     """Text with the characters that steer a terminal, or are not seen, as escapes; in one line also its breaks."""
     return (_CONTROLS_AND_BREAKS if one_line else _CONTROLS).sub(
-        lambda found: found[0].encode("unicode_escape").decode(), text
+        lambda match: match[0].encode("unicode_escape").decode(), text
     )
 
 

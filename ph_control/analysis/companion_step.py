@@ -96,11 +96,11 @@ class CompanionStep:
         d, turn = np.ldexp(self.d, -middle), self.d * self.h
         slope = turn / (1.0 + (turn / 2) ** 2) if self.method == "midpoint" else turn
         x, y, b = d[:, None], d, cofactors(d)
-        right, left = x ** np.arange(self.size), np.stack([x * b, b], axis=2).reshape(len(d), self.size)
+        columns, rows = x ** np.arange(self.size), np.stack([x * b, b], axis=2).reshape(len(d), self.size)
         gaps = np.abs((x - y) * (x + y))
         np.fill_diagonal(gaps, 2.0 * d)
         with np.errstate(all="ignore"):
-            moved = np.sum((left @ F) * right, axis=1) / gaps.prod(axis=1) / slope
+            moved = np.sum((rows @ F) * columns, axis=1) / gaps.prod(axis=1) / slope
         worst = float(np.nan_to_num(moved[live], nan=np.inf).max())
         return max(0.0, -math.log10(0.5 * _checks.EPS * max(1.0, worst))) if worst < np.inf else 0.0
 
@@ -122,15 +122,15 @@ class CompanionStep:
 
     def _step(self, method: str, intersample: str) -> tuple[Decimals, Decimals, Decimals]:
         """Polynomials of the step of the state, and of what an input does at the start and at the end of it."""
-        one, none, theta = _constant(1, self.size), _constant(0, self.size), self.theta
+        unit, none, theta = _constant(1, self.size), _constant(0, self.size), self.theta
         if method == "exact":
             # the exponential modulo s^2 P, less its first two terms, is s^2 times the second integral
             late = self._exponential()[2:]
-            whole = _times_s(late, self.P) + theta * one
-            step, ramp = _times_s(whole, self.P) + one, late / theta
+            whole = _times_s(late, self.P) + theta * unit
+            step, ramp = _times_s(whole, self.P) + unit, late / theta
             return (step, whole - ramp, ramp) if intersample == "foh" else (step, whole, none)
         if method == "euler":
-            return one + theta * _times_s(one, self.P), theta * one, none
+            return unit + theta * _times_s(unit, self.P), theta * unit, none
         # 1/(z - s) = (P(z) - P(s))/(z - s) / P(z) with z = 2/theta; all terms are positive
         z, quotient, term = 2 / theta, none.copy(), Decimal(1)
         for j in range(self.size - 1, -1, -1):
@@ -138,7 +138,7 @@ class CompanionStep:
             term = self.P[j] + z * term
         inverse = quotient * (z / term)
         gain = theta * inverse
-        return (2 * inverse - one, *((gain / 2, gain / 2) if intersample == "foh" else (gain, none)))
+        return (2 * inverse - unit, *((gain / 2, gain / 2) if intersample == "foh" else (gain, none)))
 
     def _exponential(self) -> Decimals:
         """`exp(theta s)` modulo `s^2 P`: Taylor series of a part of the step, then squared."""

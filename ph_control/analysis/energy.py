@@ -10,10 +10,11 @@ import numpy as np
 
 from .. import _checks
 from .._display import Report
+from .._options import DISCRETISATIONS, INTERPOLATIONS, Discretisation, Interpolation
 from .._types import Array
 from .._units import common_unit
 from ..exceptions import StructureError
-from ..modal.discretization import INTERSAMPLE, METHODS, Hold
+from ..modal.discretization import Hold
 from ..numerics.exponential import integral_of_form, with_inputs
 from ..systems.dissipative import DissipativePortHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
@@ -90,7 +91,11 @@ class EnergyBalance(Report):
 
 
 def energy_balance(
-    response: ct.TimeResponseData, sys: PortHamiltonian, *, method: str | None = None, intersample: str | None = None
+    response: ct.TimeResponseData,
+    sys: PortHamiltonian,
+    *,
+    method: Discretisation | None = None,
+    intersample: Interpolation | None = None,
 ) -> EnergyBalance:
     """Energy stored by a system and supplied to it along a response.
 
@@ -139,8 +144,10 @@ def energy_balance(
     if not isinstance(response, ct.TimeResponseData):
         raise StructureError(f"this is a {type(response).__name__}; pass the response that forced_response gives")
     rule = getattr(response, "rule", None) or Hold(0.0, "exact", "foh")
-    method = rule.method if method is None else _checks.choice("method", method, METHODS)
-    intersample = rule.intersample if intersample is None else _checks.choice("intersample", intersample, INTERSAMPLE)
+    method = rule.method if method is None else _checks.choice("method", method, DISCRETISATIONS)
+    intersample = (
+        rule.intersample if intersample is None else _checks.choice("intersample", intersample, INTERPOLATIONS)
+    )
     t, h = _checks.time_vector(response.time)
     z = _trace(response.x, "states", sys.nstates, len(t))
     u = _inputs(response, sys, len(t))

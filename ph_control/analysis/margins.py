@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import redirect_stdout
-from typing import Any
+from typing import Any, Literal, get_args, overload
 
 import control as ct
 import numpy as np
@@ -23,8 +23,12 @@ from ..systems.affine import AffineHamiltonian
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 
+Method = Literal["best", "poly", "frd"]
+Margins = tuple[float, float, float, float, float, float]
+AllMargins = tuple[Array, Array, Array, Array, Array, Array]
 
-def margin(*args: Any) -> tuple[Any, Any, Any, Any]:
+
+def margin(*args: Any) -> tuple[float, float, float, float]:
     """Gain and phase margin of a loop, and where they are.
 
     Parameters
@@ -64,9 +68,17 @@ def margin(*args: Any) -> tuple[Any, Any, Any, Any]:
     return gm, pm, wpc, wgc
 
 
+@overload
 def stability_margins(
-    sysdata: Any, returnall: bool = False, epsw: float = 0.0, method: str = "best"
-) -> tuple[Any, Any, Any, Any, Any, Any]:
+    sysdata: Any, returnall: Literal[False] = ..., epsw: float = ..., method: Method = ...
+) -> Margins: ...
+@overload
+def stability_margins(
+    sysdata: Any, returnall: Literal[True], epsw: float = ..., method: Method = ...
+) -> AllMargins: ...
+def stability_margins(
+    sysdata: Any, returnall: bool = False, epsw: float = 0.0, method: Method = "best"
+) -> Margins | AllMargins:
     """Margins of a loop under unity negative feedback, infinite where no change of gain or phase is too much.
 
     Parameters
@@ -116,7 +128,7 @@ def stability_margins(
     """
     _checks.flags(returnall=returnall)
     epsw = float(_checks.real_array("epsw", epsw, 0))
-    _checks.choice("method", method, ("best", "poly", "frd"))
+    _checks.choice("method", method, get_args(Method))
     loop = _lossless(sysdata) if method == "best" else None
     if loop is None:
         return _quietly(ct.stability_margins, sysdata, returnall=returnall, epsw=epsw, method=method)
@@ -149,8 +161,8 @@ def _lossless(loop: Any) -> ModalForm | None:
 def _quietly(ask: Callable[..., Any], *loop: Any, **options: Any) -> Any:
     """Answer of python-control, which prints what it raises, and looks for the roots of infinity without end."""
     try:
-        for one in loop:
-            _refuse_infinite(one)
+        for part in loop:
+            _refuse_infinite(part)
         with redirect_stdout(None), np.errstate(all="ignore"):
             return ask(*map(_polynomials, loop), **options)
     except StructureError:
@@ -159,14 +171,14 @@ def _quietly(ask: Callable[..., Any], *loop: Any, **options: Any) -> Any:
         raise StructureError(f"python-control has no margins of this loop: {error}") from None
 
 
-def _refuse_infinite(one: Any) -> None:
+def _refuse_infinite(part: Any) -> None:
     """Refuse a loop, or a response, with numbers that are not finite."""
-    if isinstance(one, ct.StateSpace):
-        numbers = [one.A, one.B, one.C, one.D]
-    elif isinstance(one, ct.TransferFunction):
-        numbers = [array for table in (one.num_list, one.den_list) for row in table for array in row]
+    if isinstance(part, ct.StateSpace):
+        numbers = [part.A, part.B, part.C, part.D]
+    elif isinstance(part, ct.TransferFunction):
+        numbers = [array for table in (part.num_list, part.den_list) for row in table for array in row]
     else:
-        numbers = [one.frdata if isinstance(one, ct.FrequencyResponseData) else one]
+        numbers = [part.frdata if isinstance(part, ct.FrequencyResponseData) else part]
     for array in map(np.asarray, numbers):
         if array.dtype.kind in "fc":
             _checks.finite("a number of the loop", array)
@@ -190,8 +202,8 @@ def _least(
 ) -> tuple[float, float, float, float, float, float]:
     """Least margins of a lossless loop; where all have the same size, that of a phase of -90 degrees."""
     inside = np.flatnonzero(pm > 0)
-    least, at = (float(pm[inside[0]]), float(wgc[inside[0]])) if len(inside) else (np.inf, np.nan)
-    return np.inf, least, float(sm[0]), np.nan, at, float(wms[0])
+    least, crossing = (float(pm[inside[0]]), float(wgc[inside[0]])) if len(inside) else (np.inf, np.nan)
+    return np.inf, least, float(sm[0]), np.nan, crossing, float(wms[0])
 
 
 def gain_crossings(loop: ModalForm) -> tuple[Array, Array]:
@@ -246,8 +258,8 @@ def _where_reactance_is(loop: ModalForm, level: Array, low: Array, high: Array) 
         below, above = np.where(rising, middle, below), np.where(rising, above, np.maximum(middle, below + 1))
     ends = np.stack([below.view(float), above.view(float)])
     error = np.abs([_reactance(loop, end) - level for end in ends])
-    found: Array = np.where(error[0] <= error[1], ends[0], ends[1])
-    return found
+    omega: Array = np.where(error[0] <= error[1], ends[0], ends[1])
+    return omega
 
 
 def _reactance(loop: ModalForm, omega: Array) -> Array:

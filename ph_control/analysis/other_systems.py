@@ -11,9 +11,9 @@ import numpy as np
 from scipy.signal import cont2discrete
 
 from .. import _checks
+from .._options import INTERPOLATIONS
 from .._types import Array
 from ..exceptions import StructureError
-from ..modal.discretization import INTERSAMPLE
 from ..modal.general_form import GeneralModalForm
 from ..modal.modal_form import ModalForm
 from ..systems.base import LosslessSystem, inherited_names
@@ -80,7 +80,7 @@ def responding(response: Callable[..., Any], sys: Any, t: Any, *values: Any, **o
 
 def held(sys: Any, t: Array, intersample: str) -> Any:
     """A system whose inputs are held between instants, where they are."""
-    _checks.choice("intersample", intersample, INTERSAMPLE)
+    _checks.choice("intersample", intersample, INTERPOLATIONS)
     if intersample == "foh" or not sys.isctime() or len(t) < 2:
         return sys
     return ct.sample_system(ct.ss(sys), _checks.time_step(t) or 1.0, "zoh")

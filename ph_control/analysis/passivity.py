@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .. import _checks
 from .._display import Report
 from .._frozen import Frozen
+from .._options import PORT_KINDS, PortKind
 from ..exceptions import StructureError
 from ..modal.positive_real import Matrices, Passivity, split_axis, violations, well_conditioned
 from ..numerics.rational import split_infinity, state_space
@@ -20,8 +21,6 @@ from ..systems.port_hamiltonian import PortHamiltonian
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-KINDS = ("immittance", "scattering")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,7 +142,7 @@ class PassivityReport(Frozen, Report):
         )
 
 
-def passivity(sys: Any, kind: str = "immittance") -> PassivityReport:
+def passivity(sys: Any, kind: PortKind = "immittance") -> PassivityReport:
     """Find all frequencies at which a system gives energy.
 
     Parameters
@@ -181,7 +180,7 @@ def passivity(sys: Any, kind: str = "immittance") -> PassivityReport:
     >>> report.is_passive, report.margin
     (True, 0.0)
     """
-    _checks.choice("kind", kind, KINDS)
+    _checks.choice("kind", kind, PORT_KINDS)
     if in_normal_form(sys) and not sys._integrated and kind == "immittance":
         # all its poles are on the axis, and beside them it neither takes nor gives energy
         m, none = sys.ninputs, np.zeros
@@ -208,13 +207,13 @@ def _judged(matrices: Matrices, L: Array, kind: str, certain: bool) -> Passivity
         least = max(whole.margin(), 0.0)
         return PassivityReport(kind, [], np.zeros(0), np.zeros(0), least, np.zeros(0, complex), whole)
     tested = None if len(split.unstable) else whole
-    found = violations(split, tested, scattering=scattering)
-    margin = -max((band.excess for band in found), default=0.0) if tested is not None else -np.inf
-    if tested is not None and not found:
+    bands = violations(split, tested, scattering=scattering)
+    margin = -max((band.excess for band in bands), default=0.0) if tested is not None else -np.inf
+    if tested is not None and not bands:
         margin = tested.margin()
     return PassivityReport(
-        kind, [(band.low, band.high) for band in found], np.array([band.worst for band in found]),
-        np.array([band.excess for band in found]), float(margin), split.unstable, tested,
+        kind, [(band.low, band.high) for band in bands], np.array([band.worst for band in bands]),
+        np.array([band.excess for band in bands]), float(margin), split.unstable, tested,
     )  # fmt: skip
 
 

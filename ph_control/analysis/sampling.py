@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._options import INTERPOLATIONS, Discretisation, Interpolation
 from ..exceptions import ResolutionWarning
-from ..modal.discretization import INTERSAMPLE, Hold, check_method
+from ..modal.discretization import Hold, check_method
 from ..systems.base import LosslessSystem, inherited_names
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian, warn_of_lost_digits
 from ..systems.dissipative import DissipativePortHamiltonian
@@ -22,7 +23,9 @@ from .trajectories import check_finite, companion_step, modes_cancel, trajectory
 Array = NDArray[np.float64]
 
 
-def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh", **names: Any) -> ct.StateSpace:
+def sample(
+    sys: Any, h: float, method: Discretisation = "exact", *, intersample: Interpolation = "zoh", **names: Any
+) -> ct.StateSpace:
     """Sample a system: one step of an integrator as a discrete-time state space.
 
     Parameters
@@ -81,7 +84,7 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
     rule = Hold(
         _checks.sampling_step(h, name="h"),
         check_method(method),
-        _checks.choice("intersample", intersample, INTERSAMPLE),
+        _checks.choice("intersample", intersample, INTERPOLATIONS),
     )
     if not isinstance(sys, LosslessSystem):
         return sampled(sys, rule.h, method, intersample, names)

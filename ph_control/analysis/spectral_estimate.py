@@ -10,10 +10,10 @@ import numpy as np
 from scipy import signal
 
 from .. import _checks
+from .._options import RESPONSE_INTERPOLATIONS, ResponseInterpolation
 from .._types import Array, ComplexArray, Mask
 from .._units import common_unit, with_unit
 from ..exceptions import StructureError
-from .spectral_window import HOLDS as INTERSAMPLE
 from .spectral_window import hold_response
 
 _INPUT_FLOOR = 1e-6  # of the largest input power: 60 dB below it a bin holds the leakage of its neighbours
@@ -92,7 +92,7 @@ class SpectralEstimate(ct.FrequencyResponseData):
 
 
 def spectral_estimate(
-    data: ct.TimeResponseData, *, segments: int = 8, intersample: str = "zoh", **names: Any
+    data: ct.TimeResponseData, *, segments: int = 8, intersample: ResponseInterpolation = "zoh", **names: Any
 ) -> SpectralEstimate:
     """Estimate a frequency response from a record of one input and one output.
 
@@ -146,7 +146,7 @@ def spectral_estimate(
     True
     """
     u, y, step = _record(data)
-    _checks.choice("intersample", intersample, INTERSAMPLE)
+    _checks.choice("intersample", intersample, RESPONSE_INTERPOLATIONS)
     _checks.signal_names(names, inputs=1, outputs=1)
     length = _segment_length(len(u), segments)
     pieces = [(u[None, part], y[None, part]) for part in _seen_segments(y, length)]
@@ -158,10 +158,10 @@ def spectral_estimate(
         )
     inherited = {"name": data.sysname, "inputs": data.input_labels, "outputs": data.output_labels}
     names = {key: value for key, value in inherited.items() if value} | names
-    found = SpectralEstimate(
+    estimate = SpectralEstimate(
         response[0, 0], omega, coherence[0], len(pieces), step, ("hann", length), intersample, **names
     )
-    return with_unit(found, common_unit(data))
+    return with_unit(estimate, common_unit(data))
 
 
 def _record(data: Any) -> tuple[Array, Array, float]:
@@ -226,7 +226,7 @@ def response_matrix_estimate(
     """
     steps = {step for _, _, step in records}
     if len(steps) > 1:
-        raise StructureError(f"the records have steps {', '.join(f'{one:g}' for one in sorted(steps))}; expected one")
+        raise StructureError(f"the records have steps {', '.join(f'{step:g}' for step in sorted(steps))}; expected one")
     step, shortest = steps.pop(), min(u.shape[1] for u, _, _ in records)
     impact = all(_rests(u) for u, _, _ in records)
     length = shortest if impact else _segment_length(shortest, segments)
@@ -241,25 +241,25 @@ def _estimate(
 ) -> tuple[Array, ComplexArray, Array]:
     """As `response_matrix_estimate`, of pieces of records of one length."""
     spectra = [_segment_spectra(u, y, impact) for u, y in pieces]
-    Suu, Syu, Syy = (np.moveaxis(np.sum(one, axis=0), -1, 0) for one in zip(*spectra, strict=True))
+    Suu, Syu, Syy = (np.moveaxis(np.sum(segments, axis=0), -1, 0) for segments in zip(*spectra, strict=True))
     omega = 2.0 * np.pi * np.arange(len(Suu)) / (pieces[0][0].shape[1] * step)
     power = np.einsum("kpii->kpi", Suu).real
     # inputs that never moved while an output was seen
     present = power.max(axis=0) > 0
     Suu = Suu + np.where(present, 0.0, power.max())[..., None] * np.eye(power.shape[-1])
     sizes = np.linalg.eigvalsh(Suu)[..., 0]
-    told = sizes > _INPUT_FLOOR * sizes[1:].max(axis=0)
+    known = sizes > _INPUT_FLOOR * sizes[1:].max(axis=0)
     # the window spreads the mean that each segment lost over the first two bins; the last is real by construction
-    told[[0, -1] if impact else [0, 1, -1]] = False
-    kept = told.any(axis=1)
-    omega, Suu, Syu, Syy, told = omega[kept], Suu[kept], Syu[kept], Syy[kept], told[kept]
+    known[[0, -1] if impact else [0, 1, -1]] = False
+    kept = known.any(axis=1)
+    omega, Suu, Syu, Syy, known = omega[kept], Suu[kept], Syu[kept], Syy[kept], known[kept]
     # G Suu = Syu
-    Suu = np.where(told[..., None, None], Suu, np.eye(Suu.shape[-1]))
+    Suu = np.where(known[..., None, None], Suu, np.eye(Suu.shape[-1]))
     response = np.linalg.solve(np.swapaxes(Suu, 2, 3), Syu[..., None])[..., 0]
     explained = np.sum(response * Syu.conj(), axis=2).real
     coherence = np.clip(explained / np.where(Syy > 0, Syy, 1.0), 0.0, 1.0)
     hold = hold_response(omega * step, intersample)
-    response = np.where(told[..., None] & present, response / hold[:, None, None], np.nan)
+    response = np.where(known[..., None] & present, response / hold[:, None, None], np.nan)
     return omega, np.moveaxis(response, 0, -1), coherence.T
 
 
@@ -277,6 +277,6 @@ def _segment_spectra(u: Array, y: Array, whole: bool) -> tuple[ComplexArray, Com
         # what the mean of a constant input rounds would pass for its motion
         still = np.ptp(u, axis=1) <= u.shape[1] * _checks.EPS * np.max(np.abs(u), axis=1)
         u = np.where(still[:, None], 0.0, u)
-        u, y = ((one - one.mean(axis=1, keepdims=True)) * window for one in (u, y))
+        u, y = ((signal - signal.mean(axis=1, keepdims=True)) * window for signal in (u, y))
     U, Y = np.fft.rfft(u), np.fft.rfft(y)
     return seen[:, None, None, None] * (U[:, None] * U[None].conj()), Y[:, None] * U[None].conj(), np.abs(Y) ** 2

@@ -18,10 +18,10 @@ import numpy as np
 from scipy import signal
 
 from .. import _checks
+from .._options import ResponseInterpolation
 from .._types import Array, ComplexArray, Indices
 from ..exceptions import StructureError
 
-HOLDS = ("zoh", "foh", "bandlimited")
 _SHORTEST = 8  # samples of a block
 _OFF_LINES = 0.02  # of the distance of two lines: frequencies in tables are rounded
 _UNRELATED = 1e-3  # of the power of a line: what is shared by lines farther apart
@@ -48,11 +48,13 @@ class SpectralWindow:
     name: str
     values: Array = field(repr=False)
     step: float
-    hold: str
+    hold: ResponseInterpolation
     shift: int
 
     @classmethod
-    def of(cls, name: Any, length: int, step: float, hold: str, shift: int | None = None) -> SpectralWindow:
+    def of(
+        cls, name: Any, length: int, step: float, hold: ResponseInterpolation, shift: int | None = None
+    ) -> SpectralWindow:
         """The window that scipy knows by a name, of blocks that overlap by half unless a `shift` is given."""
         values = signal.get_window(name, length)
         shown = name if isinstance(name, str) else ""
@@ -130,7 +132,7 @@ def hold_response(theta: Array, intersample: str) -> ComplexArray | Array:
     return half * np.exp(-0.5j * theta) if intersample == "zoh" else half**2
 
 
-def window_of(window: Any, omega: Array, step: float | None, hold: str) -> SpectralWindow:
+def window_of(window: Any, omega: Array, step: float | None, hold: ResponseInterpolation) -> SpectralWindow:
     """Check a window that was given, a pair of its name and length or its values, for responses at some frequencies.
 
     Without a step of the samples the frequencies are taken for neighbouring lines.

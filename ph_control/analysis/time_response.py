@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import wraps
 from inspect import signature
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, overload
 
 import control as ct
 import numpy as np
@@ -14,9 +15,10 @@ from control.timeresp import TimeResponseList
 from numpy.typing import ArrayLike
 
 from .. import _checks
+from .._options import DISCRETISATIONS, INTERPOLATIONS, Discretisation, Interpolation
 from .._types import Array, ComplexArray
 from ..exceptions import StructureError
-from ..modal.discretization import INTERSAMPLE, METHODS, Hold
+from ..modal.discretization import Hold
 from ..modal.modal_form import imaginary
 from ..systems.base import LosslessSystem, in_normal_form
 from .other_systems import MOST_INSTANTS, as_system, check_exact, held, instants_of, responding
@@ -53,6 +55,14 @@ def _with_aliases(response: Response) -> Response:
     return cast(Response, call)
 
 
+@overload
+def forced_response(sysdata: list[Any] | tuple[Any, ...], *args: Any, **kwargs: Any) -> TimeResponseList: ...
+@overload
+def forced_response(
+    sysdata: Any, timepts: ArrayLike | None = ..., inputs: ArrayLike = ..., initial_state: ArrayLike = ...,
+    transpose: bool = ..., return_states: bool | None = ..., squeeze: bool | None = ..., *,
+    method: Discretisation = ..., intersample: Interpolation = ..., **aliases: Any,
+) -> TimeResponseData: ...  # fmt: skip
 @_with_aliases
 def forced_response(
     sysdata: Any,
@@ -63,10 +73,10 @@ def forced_response(
     return_states: bool | None = None,
     squeeze: bool | None = None,
     *,
-    method: str = "exact",
-    intersample: str = "foh",
+    method: Discretisation = "exact",
+    intersample: Interpolation = "foh",
     **aliases: Any,
-) -> Any:
+) -> TimeResponseData | TimeResponseList:
     """Response to an input signal and an initial state.
 
     Parameters
@@ -143,6 +153,15 @@ def forced_response(
     return _each(sysdata, run, of_other, method, timepts, None)
 
 
+@overload
+def step_response(sysdata: list[Any] | tuple[Any, ...], *args: Any, **kwargs: Any) -> TimeResponseList: ...
+@overload
+def step_response(
+    sysdata: Any, timepts: ArrayLike | None = ..., initial_state: ArrayLike = ...,
+    input_indices: int | None = ..., output_indices: int | None = ..., timepts_num: int | None = ...,
+    transpose: bool = ..., return_states: bool = ..., squeeze: bool | None = ..., *,
+    method: Discretisation = ..., intersample: Interpolation = ..., **aliases: Any,
+) -> TimeResponseData: ...  # fmt: skip
 @_with_aliases
 def step_response(
     sysdata: Any,
@@ -155,10 +174,10 @@ def step_response(
     return_states: bool = False,
     squeeze: bool | None = None,
     *,
-    method: str = "exact",
-    intersample: str = "zoh",
+    method: Discretisation = "exact",
+    intersample: Interpolation = "zoh",
     **aliases: Any,
-) -> Any:
+) -> TimeResponseData | TimeResponseList:
     """Response to a unit step at each input.
 
     Parameters
@@ -205,14 +224,14 @@ def step_response(
     """
 
     def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
-        def one(port: int) -> tuple[Array, Any]:
+        def drive(port: int) -> tuple[Array, Any]:
             return np.eye(sys.ninputs)[:, port, None] * np.ones(t.size), initial_state
 
-        shown = input_indices, output_indices
-        return _traces(sys, t, one, "Step", shown, method, intersample, transpose, squeeze, return_states)
+        layout = _TraceLayout(input_indices, output_indices, transpose, squeeze, return_states)
+        return _traces(sys, t, drive, "Step", layout, method, intersample)
 
     def of_other(sys: Any, t: Array) -> TimeResponseData:
-        _checks.choice("intersample", intersample, INTERSAMPLE)
+        _checks.choice("intersample", intersample, INTERPOLATIONS)
         picked = _chosen("input", input_indices, sys.ninputs), _chosen("output", output_indices, sys.noutputs)
         return responding(
             ct.step_response, sys, t, _initial_state(initial_state, sys.nstates), *picked, transpose=transpose,
@@ -222,6 +241,14 @@ def step_response(
     return _each(sysdata, run, of_other, method, timepts, timepts_num)
 
 
+@overload
+def impulse_response(sysdata: list[Any] | tuple[Any, ...], *args: Any, **kwargs: Any) -> TimeResponseList: ...
+@overload
+def impulse_response(
+    sysdata: Any, timepts: ArrayLike | None = ..., input_indices: int | None = ...,
+    output_indices: int | None = ..., timepts_num: int | None = ..., transpose: bool = ...,
+    return_states: bool = ..., squeeze: bool | None = ..., *, method: Discretisation = ..., **aliases: Any,
+) -> TimeResponseData: ...  # fmt: skip
 @_with_aliases
 def impulse_response(
     sysdata: Any,
@@ -233,9 +260,9 @@ def impulse_response(
     return_states: bool = False,
     squeeze: bool | None = None,
     *,
-    method: str = "exact",
+    method: Discretisation = "exact",
     **aliases: Any,
-) -> Any:
+) -> TimeResponseData | TimeResponseList:
     """Response to a unit impulse at each input: the free motion from `z = B e_j`.
 
     Parameters
@@ -266,11 +293,11 @@ def impulse_response(
     """
 
     def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
-        def one(port: int) -> tuple[Array, Any]:
+        def drive(port: int) -> tuple[Array, Any]:
             return np.zeros((sys.ninputs, t.size)), sys.B[:, port]
 
-        shown = input_indices, output_indices
-        return _traces(sys, t, one, "Impulse", shown, method, "zoh", transpose, squeeze, return_states)
+        layout = _TraceLayout(input_indices, output_indices, transpose, squeeze, return_states)
+        return _traces(sys, t, drive, "Impulse", layout, method, "zoh")
 
     def of_other(sys: Any, t: Array) -> TimeResponseData:
         picked = _chosen("input", input_indices, sys.ninputs), _chosen("output", output_indices, sys.noutputs)
@@ -281,6 +308,14 @@ def impulse_response(
     return _each(sysdata, run, of_other, method, timepts, timepts_num)
 
 
+@overload
+def initial_response(sysdata: list[Any] | tuple[Any, ...], *args: Any, **kwargs: Any) -> TimeResponseList: ...
+@overload
+def initial_response(
+    sysdata: Any, timepts: ArrayLike | None = ..., initial_state: ArrayLike = ...,
+    output_indices: int | None = ..., timepts_num: int | None = ..., transpose: bool = ...,
+    return_states: bool = ..., squeeze: bool | None = ..., *, method: Discretisation = ..., **aliases: Any,
+) -> TimeResponseData: ...  # fmt: skip
 @_with_aliases
 def initial_response(
     sysdata: Any,
@@ -292,9 +327,9 @@ def initial_response(
     return_states: bool = False,
     squeeze: bool | None = None,
     *,
-    method: str = "exact",
+    method: Discretisation = "exact",
     **aliases: Any,
-) -> Any:
+) -> TimeResponseData | TimeResponseList:
     """Free motion from an initial state.
 
     Parameters
@@ -325,10 +360,10 @@ def initial_response(
     """
 
     def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
-        picked, one = _selected("output", output_indices, sys.noutputs)
+        picked, single = _selected("output", output_indices, sys.noutputs)
         problem = _Problem(sys, t, np.zeros((sys.ninputs, t.size)), initial_state, method, "zoh")
         return _Response(
-            problem.states, sys, t, problem.rule, problem.outputs()[picked], issiso=sys.issiso() or one,
+            problem.states, sys, t, problem.rule, problem.outputs()[picked], issiso=sys.issiso() or single,
             output_labels=sys.output_labels[picked],
             title="Initial response for " + sys.name, transpose=transpose,
             return_x=bool(return_states), squeeze=squeeze, sysname=sys.name, trace_types=["initial"],
@@ -347,7 +382,9 @@ def initial_response(
 Run = Callable[[Any, Array], TimeResponseData]
 
 
-def _each(sysdata: Any, run: Run, of_other: Run, method: str, timepts: Any, samples: int | None) -> Any:
+def _each(
+    sysdata: Any, run: Run, of_other: Run, method: Discretisation, timepts: Any, samples: int | None
+) -> TimeResponseData | TimeResponseList:
     """Run one system, or each of a list on common instants: those of the package, or others."""
     several = isinstance(sysdata, list | tuple)
     if several and not sysdata:
@@ -381,23 +418,34 @@ def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) 
     return default_time_vector(np.concatenate(visible), tfinal, samples)
 
 
+@dataclass(frozen=True)
+class _TraceLayout:
+    """Inputs and outputs of a response that are shown, and the order and number of its axes as in python-control."""
+
+    input: Any
+    output: Any
+    transpose: bool
+    squeeze: bool | None
+    return_states: bool
+
+
 def _traces(
-    sys: LosslessSystem, t: Array, one: Callable[[int], tuple[Array, Any]], kind: str, indices: tuple[Any, Any],
-    method: str, intersample: str, transpose: bool, squeeze: bool | None, return_states: bool,
+    sys: LosslessSystem, t: Array, drive: Callable[[int], tuple[Array, Any]], kind: str, layout: _TraceLayout,
+    method: Discretisation, intersample: Interpolation,
 ) -> TimeResponseData:  # fmt: skip
     """Responses to one input at a time, as python-control lays them out."""
-    rows, one_output = _selected("output", indices[1], sys.noutputs)
-    shown, one_input = _selected("input", indices[0], sys.ninputs)
+    rows, one_output = _selected("output", layout.output, sys.noutputs)
+    shown, one_input = _selected("input", layout.input, sys.ninputs)
     ports = range(sys.ninputs)[shown]
-    problems = [_Problem(sys, t, *one(port), method, intersample) for port in ports]
+    problems = [_Problem(sys, t, *drive(port), method, intersample) for port in ports]
     y = np.stack([problem.outputs()[rows] for problem in problems], axis=1)
     drives = [problem.u[shown] if kind == "Step" else np.zeros_like(problem.u[shown]) for problem in problems]
     return _Response(
         lambda: np.stack([problem.states() for problem in problems], axis=1), sys, t, problems[0].rule, y,
         inputs=np.stack(drives, axis=1), issiso=sys.issiso() or (one_output and one_input),
         output_labels=sys.output_labels[rows], input_labels=sys.input_labels[shown],
-        title=f"{kind} response for {sys.name}", transpose=transpose, return_x=bool(return_states),
-        squeeze=squeeze, sysname=sys.name, trace_labels=[f"From {sys.input_labels[port]}" for port in ports],
+        title=f"{kind} response for {sys.name}", transpose=layout.transpose, return_x=bool(layout.return_states),
+        squeeze=layout.squeeze, sysname=sys.name, trace_labels=[f"From {sys.input_labels[port]}" for port in ports],
         trace_types=[kind.lower()] * len(ports), plot_inputs=False,
     )  # fmt: skip
 
@@ -446,10 +494,16 @@ class _Problem:
     """One input and one initial state for one system; outputs and states are separate work."""
 
     def __init__(
-        self, sys: LosslessSystem, t: Array, u: Array, initial_state: Any, method: str, intersample: str
-    ) -> None:
-        _checks.choice("method", method, METHODS)
-        _checks.choice("intersample", intersample, INTERSAMPLE)
+        self,
+        sys: LosslessSystem,
+        t: Array,
+        u: Array,
+        initial_state: Any,
+        method: Discretisation,
+        intersample: Interpolation,
+    ) -> None:  # fmt: skip
+        _checks.choice("method", method, DISCRETISATIONS)
+        _checks.choice("intersample", intersample, INTERPOLATIONS)
         # Euler's rule takes the input at the start of a step, whatever it does until the next
         hold, h = "zoh" if method == "euler" else intersample, _checks.time_step(t) or 1.0
         self.sys, self.u, self.rule = sys, u, Hold(h, method, hold)

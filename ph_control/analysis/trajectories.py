@@ -192,15 +192,15 @@ def _with_digits(sys: Any, rows: Array, error: Array, exact: Callable[[], Array]
     size = np.abs(rows).max(axis=1)
     with np.errstate(all="ignore"):
         worst = np.nan_to_num(np.where(size == 0, 0.0, error / size), nan=np.inf).max()
-        left = -float(np.log10(_checks.EPS * worst))
-    if left >= _DIGITS:
+        digits = -float(np.log10(_checks.EPS * worst))
+    if digits >= _DIGITS:
         return rows
     try:
         return exact()
     except StructureError:
-        if left <= 0:
+        if digits <= 0:
             raise
-    warn_of_lost_digits(sys.n, left, "modal form, in which so many samples of states are computed,", stacklevel=2)
+    warn_of_lost_digits(sys.n, digits, "modal form, in which so many samples of states are computed,", stacklevel=2)
     return rows
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .. import _checks
+from .._options import CIRCUIT_FORMS, IMMITTANCES, CircuitForm, Immittance
 from .._types import Array
 from ..exceptions import StructureError
 from ..systems.base import Convertible
@@ -13,13 +14,15 @@ from .elements import Element, Netlist
 from .expansions import continued_fraction, continued_fraction_at_zero, reciprocal
 from .resonators import Resonator, Resonators, resonators_of
 
-FORMS = ("foster1", "foster2", "cauer1", "cauer2", "state-space")
-KINDS = ("admittance", "impedance")
-_DIRECT = {"admittance": "foster2", "impedance": "foster1"}  # the partial fractions of the transfer function itself
+# the partial fractions of the transfer function itself
+_DIRECT: dict[Immittance, CircuitForm] = {
+    "admittance": "foster2",
+    "impedance": "foster1",
+}
 _TITLES = {"foster1": "Foster I", "foster2": "Foster II", "cauer1": "Cauer I", "cauer2": "Cauer II"}
 
 
-def netlist(sys: Convertible, form: str | None = None, *, kind: str = "admittance") -> Netlist:
+def netlist(sys: Convertible, form: CircuitForm | None = None, *, kind: Immittance = "admittance") -> Netlist:
     """Circuit with the transfer function of a system: positive elements, or controlled sources.
 
     Parameters
@@ -82,8 +85,8 @@ def netlist(sys: Convertible, form: str | None = None, *, kind: str = "admittanc
     >>> [(element.name, round(element.value, 6), element.nodes) for element in ladder.elements]
     [('L1', 0.2, ('1', '2')), ('C1', 0.757576, ('2', '0')), ('L2', 1.111224, ('2', '3')), ('C2', 0.742424, ('3', '0'))]
     """
-    kind = _checks.choice("kind", kind, KINDS)
-    form = _DIRECT[kind] if form is None else _checks.choice("form", form, FORMS)
+    kind = _checks.choice("kind", kind, IMMITTANCES)
+    form = _DIRECT[kind] if form is None else _checks.choice("form", form, CIRCUIT_FORMS)
     if form == "state-space":
         return controlled_sources(sys, kind)
     parts, one_port = resonators_of(sys)

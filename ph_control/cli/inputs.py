@@ -82,21 +82,21 @@ def measurements(names: Sequence[str], options: Namespace) -> Measurements:
         "time": False if options.no_time else options.time,
     }  # fmt: skip
     parts = [measured(opened(name), given) for name in names]
-    data, weights = [one for found, _ in parts for one in found], [one for _, one in parts]
+    data, weights = [recording for recordings, _ in parts for recording in recordings], [column for _, column in parts]
     in_time = hasattr(data[0], "time")
-    if any(hasattr(one, "time") != in_time for one in data):
+    if any(hasattr(recording, "time") != in_time for recording in data):
         raise StructureError("recordings in time and frequency responses do not go together; name those of one kind")
-    if options.weights is not None and any(one is None for one in weights):
+    if options.weights is not None and any(column is None for column in weights):
         raise StructureError("--weights names a column of a text table; these files have none")
     return Measurements(data, weights if options.weights is not None else None, in_time)
 
 
 def _refuse_contradictions(options: Namespace) -> None:
-    for one, other in (("input", "inputs"), ("output", "outputs"), ("input", "no_input"), ("time", "no_time"),
+    for option, other in (("input", "inputs"), ("output", "outputs"), ("input", "no_input"), ("time", "no_time"),
                        ("inputs", "no_input")):  # fmt: skip
-        if getattr(options, one) is not None and getattr(options, other) not in (None, False):
+        if getattr(options, option) is not None and getattr(options, other) not in (None, False):
             spelt = other.replace("_", "-")
-            raise StructureError(f"--{one} and --{spelt} contradict each other; give only one")
+            raise StructureError(f"--{option} and --{spelt} contradict each other; give only one")
 
 
 # --- models ----------------------------------------------------------------------------------------------------------
@@ -162,18 +162,18 @@ def system_name_of(text: str) -> str:
 
 def read_models(names: Sequence[str], options: Namespace) -> list[Model]:
     """Models of files, and the one of `--num` and `--den`; those of one label get their files for it."""
-    found = [read_model(name) for name in names]
+    models = [read_model(name) for name in names]
     if (options.num is None) != (options.den is None):
         raise StructureError("--num and --den belong together: give both, such as --num 1,0 --den 1,0,4")
     if options.num is not None:
         system = system_of({"num": options.num, "den": options.den}, "--num/--den", "model")
-        found.append(Model("--num/--den", "tf", system))
-    if not found:
+        models.append(Model("--num/--den", "tf", system))
+    if not models:
         raise StructureError("no model given; name a file, or pass --num and --den")
-    labels = [model.label for model in found]
+    labels = [model.label for model in models]
     return [
         Model(model.source, model.source if labels.count(model.label) > 1 else model.label, model.content)
-        for model in found
+        for model in models
     ]
 
 

@@ -11,13 +11,16 @@ import textwrap
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
+from .._options import (
+    DECIMAL_MARKS,
+    DISCRETISATIONS,
+    FREQUENCY_UNITS,
+    INTERPOLATIONS,
+    MAGNITUDE_UNITS,
+    NETWORK_PARAMETERS,
+    PHASE_UNITS,
+)
 from .outcome import BAD, complain
-
-# as the library has them; importing it would cost more than showing a help (a test holds the two together)
-METHODS = ("exact", "midpoint", "euler")
-INTERSAMPLE = ("zoh", "foh")
-PARAMETERS = ("Z", "Y", "S")
-FREQUENCY_UNITS = ("rad/s", "Hz", "kHz", "MHz", "GHz")
 
 _WIDTH = 88  # characters of running text in a help
 _NUMBER = re.compile(r"^-\.?[0-9]")
@@ -41,13 +44,13 @@ class Parser(argparse.ArgumentParser):
 
     def parse(self, words: Sequence[str]) -> argparse.Namespace:
         """Parse, positional arguments anywhere among the options, with a proposal for one that is spelt wrong."""
-        found, extra = self.parse_known_intermixed_args(words)
+        parsed, extra = self.parse_known_intermixed_args(words)
         if extra:
             known = [name for action in self._actions for name in action.option_strings]
             close = difflib.get_close_matches(extra[0].split("=")[0], known, 1)
             hint = f"; did you mean {close[0]}?" if close else ""
             self.error(f"{extra[0]} is not an option or argument of this command{hint}")
-        return found
+        return parsed
 
     def error(self, message: str) -> NoReturn:
         """One line, and where to read on."""
@@ -92,18 +95,18 @@ def numbers(text: str) -> list[float]:
 
 def pair(text: str) -> tuple[float, float]:
     """Two numbers."""
-    found = numbers(text)
-    if len(found) != 2:
+    values = numbers(text)
+    if len(values) != 2:
         raise argparse.ArgumentTypeError(f"{text!r} is not two numbers, such as 0.1,10")
-    return found[0], found[1]
+    return values[0], values[1]
 
 
 def names(text: str) -> list[str]:
     """Names between commas; one that has a comma itself stands in double quotes."""
-    found = [one.strip() for one in next(csv.reader([text], skipinitialspace=True), [])]
-    if not found or not all(found):
+    listed = [name.strip() for name in next(csv.reader([text], skipinitialspace=True), [])]
+    if not listed or not all(listed):
         raise argparse.ArgumentTypeError(f"{text!r} is not a list of names, such as force1,force2")
-    return found
+    return listed
 
 
 def size(text: str) -> tuple[float, float]:
@@ -119,7 +122,7 @@ def list_of_numbers(text: str) -> list[float]:
     inside = text.strip().rstrip(";").strip().removeprefix("[").removesuffix("]").strip()
     if not inside:
         raise ValueError("there are no numbers")
-    signs = {found.strip() for found in _SEPARATOR.findall(inside)}
+    signs = {separator.strip() for separator in _SEPARATOR.findall(inside)}
     if len(signs) > 1:
         # a decimal comma would make two numbers of one
         listed = " and ".join(sorted(sign or "space" for sign in signs))
@@ -180,7 +183,7 @@ def add_recording(parser: Parser) -> None:
         help="unit of time: ns, us, ms, s, min or h (default: from the column name)",
     )  # fmt: skip
     table.add_argument("--delimiter", metavar="CHARACTER", help="column separator (default: detected)")
-    table.add_argument("--decimal", choices=(".", ","), help="decimal mark (default: detected)")
+    table.add_argument("--decimal", choices=DECIMAL_MARKS, help="decimal mark (default: detected)")
     table.add_argument(
         "--header", action=argparse.BooleanOptionalAction, help="whether the first row holds names (default: detected)"
     )
@@ -197,21 +200,21 @@ def add_recording(parser: Parser) -> None:
         part = _PARTS.get(role, role)
         response.add_argument(f"--{role}", metavar="COLUMN", help=f"column of the {part}")
     response.add_argument("--frequency-unit", choices=FREQUENCY_UNITS, help="default: from the column name")
-    response.add_argument("--magnitude-unit", choices=("linear", "dB"), help="default: from the column name, or linear")
-    response.add_argument("--phase-unit", choices=("deg", "rad"), help="default: from the column name")
+    response.add_argument("--magnitude-unit", choices=MAGNITUDE_UNITS, help="default: from the column name, or linear")
+    response.add_argument("--phase-unit", choices=PHASE_UNITS, help="default: from the column name")
     response.add_argument(
-        "--parameter", choices=PARAMETERS,
+        "--parameter", choices=NETWORK_PARAMETERS,
         help="Touchstone files: impedance Z (default), admittance Y or scattering S",
     )  # fmt: skip
     response.add_argument("--weights", metavar="COLUMN", help="column of weights, proportional to 1/variance")
 
 
 def add_meeting(
-    parser: argparse._ActionsContainer, states: Sequence[str], auto: str, holds: Sequence[str] = INTERSAMPLE
+    parser: argparse._ActionsContainer, states: Sequence[str], auto: str, holds: Sequence[str] = INTERPOLATIONS
 ) -> None:
     """How a model meets samples, and what the default of the input between them means."""
     parser.add_argument(
-        "--method", choices=METHODS, default="exact",
+        "--method", choices=DISCRETISATIONS, default="exact",
         help="exact (default); midpoint and euler only for data made by these rules",
     )  # fmt: skip
     parser.add_argument(

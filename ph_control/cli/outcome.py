@@ -85,7 +85,7 @@ class ProgressLine:
         self._often, self._pause = (_OFTEN, 1.0) if self._in_place else (_IN_LINES, _IN_LINES)
         self._text, self._shown, self._start = "at work", 0.0, time.monotonic()
         self._over = threading.Event()
-        self._threads = [threading.Thread(target=one, daemon=True) for one in self._tasks()]
+        self._threads = [threading.Thread(target=task, daemon=True) for task in self._tasks()]
 
     def _tasks(self) -> list[Callable[[], None]]:
         return [self._tick] * self._watched + [self._ring] * (self.timeout is not None)
@@ -100,14 +100,14 @@ class ProgressLine:
         if ignored and self.timeout is not None and threading.current_thread() is threading.main_thread():
             # a shell has sent the process to the background, where the key is ignored; the bell must not be
             signal.signal(signal.SIGINT, signal.default_int_handler)
-        for one in self._threads:
-            one.start()
+        for thread in self._threads:
+            thread.start()
         return self
 
     def __exit__(self, *error: object) -> None:
         self._over.set()
-        for one in self._threads:
-            one.join()
+        for thread in self._threads:
+            thread.join()
         if self._in_place:
             _put("")
 

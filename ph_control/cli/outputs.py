@@ -8,10 +8,13 @@ import math
 from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..exceptions import OutputExistsError, StructureError
 from .outcome import DONE, emit
+
+if TYPE_CHECKING:
+    import ph_control as phc
 
 # --- answers ---------------------------------------------------------------------------------------------------------
 
@@ -53,20 +56,20 @@ def modes_of(form: Any) -> dict[str, Any]:
     return {"d": form.d, "frequency": form.d / (2 * math.pi), "r": form.r, "kappa": form.kappa, "kappa_0": kappa_0}
 
 
-def fit_of(result: Any) -> dict[str, Any]:
+def fit_of(result: phc.PEMResult) -> dict[str, Any]:
     """Fields of the result of a fit."""
     answer = {
         **_fields(result, *_FIT),
         "described": is_described(result),
         "findings": [
-            {**_fields(one, "values", "gain", "output", "experiment"), "cause": one.cause.value}
-            for one in result.findings
+            {**_fields(finding, "values", "gain", "output", "experiment"), "cause": finding.cause.value}
+            for finding in result.findings
         ],
         "frequency": result.d / (2 * math.pi),
         "hertz": None if result.time_unit is None else result.hertz,
         "stderr": dict(result.stderr),
-        "tests": [dict(vars(one)) for one in result.tests],
-        "experiments": [_experiment_of(one) for one in result.experiments],
+        "tests": [dict(vars(test)) for test in result.tests],
+        "experiments": [_experiment_of(experiment) for experiment in result.experiments],
         "order_table": [_fields(row, "order", "loss", "aic", "bic", "d") for row in result.order_table],
     }
     inputs, outputs = result.input_labels, result.output_labels
@@ -81,18 +84,18 @@ def _fields(thing: Any, *names: str) -> dict[str, Any]:
     return {name: getattr(thing, name) for name in names}
 
 
-def _experiment_of(one: Any) -> dict[str, Any]:
-    record = one.record
+def _experiment_of(experiment: Any) -> dict[str, Any]:
+    record = experiment.record
     missing = int((~record.observed).sum())
-    moved = {name: getattr(one, name) for name in ("initial_state", "offset", "drift", "offsets", "drifts")
-             if hasattr(one, name)}  # fmt: skip
+    moved = {name: getattr(experiment, name) for name in ("initial_state", "offset", "drift", "offsets", "drifts")
+             if hasattr(experiment, name)}  # fmt: skip
     return moved | {
         "title": record.title, "samples": record.samples, "missing": missing, "step": getattr(record, "dt", None),
-        "fit_percent": one.fit_percent,
+        "fit_percent": experiment.fit_percent,
     }  # fmt: skip
 
 
-def is_described(result: Any) -> bool:
+def is_described(result: phc.PEMResult) -> bool:
     """Whether the verdict leaves a model standing."""
     return len(result.poles) > 0 and result.outcome.leaves_a_model
 
@@ -145,10 +148,10 @@ def picture_format(name: str, wanted: str | None = None) -> str:
     formats = sorted(FigureCanvasBase.get_supported_filetypes())
     if wanted is None and name == "-":
         raise StructureError("standard output has no suffix to tell the format of a picture; pass --format png")
-    found = (wanted or Path(name).suffix.lstrip(".")).lower()
-    if found not in formats:
+    format = (wanted or Path(name).suffix.lstrip(".")).lower()
+    if format not in formats:
         raise StructureError(f"{name} has no known picture format; end its name in one of .{', .'.join(formats)}")
-    return found
+    return format
 
 
 def deliver_picture(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import control as ct
 import numpy as np
@@ -23,7 +23,8 @@ from ..systems.interconnection import interconnect, through_ports
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 from .damping_injection import plant, port_numbers
 
-CRITERIA = ("h2", "damping", "fixed points")
+Criteria = Literal["h2", "damping", "fixed points"]
+Performance = Literal["energy", "displacement", "velocity"]
 _REACH = 1e4  # constants are looked for within this factor of those to start from
 _AT_BORDER = 0.99  # of that reach, in logarithms: where no optimum was found
 _FLAT = 1e-8  # relative difference of costs that is rounding
@@ -121,8 +122,8 @@ def optimal_damping(
     ports: Sequence[int | str] | None = None,
     *,
     mass: ArrayLike | None = None,
-    criterion: str = "h2",
-    outputs: str | Sequence[int | str] = "energy",
+    criterion: Criteria = "h2",
+    outputs: Performance | Sequence[int | str] = "energy",
     inputs: Sequence[int | str] | None = None,
     mode: int | None = None,
 ) -> OptimalDamping:
@@ -177,7 +178,7 @@ def optimal_damping(
     0.9642122 0.1097722
     """
     plant(sys)
-    _checks.choice("criterion", criterion, CRITERIA)
+    _checks.choice("criterion", criterion, get_args(Criteria))
     port_indices = port_numbers(sys, ports)
     masses = None if mass is None else _masses(mass, len(port_indices))
     loop = _Loop.of(sys, port_indices, masses, outputs, inputs)
@@ -296,7 +297,7 @@ def _performance(
 ) -> Array:
     """Rows of what is kept small."""
     if isinstance(outputs, str):
-        _checks.choice("outputs", outputs, ("energy", "displacement", "velocity"))
+        _checks.choice("outputs", outputs, get_args(Performance))
         if outputs == "energy":
             return np.eye(len(A))
         if outputs == "velocity":

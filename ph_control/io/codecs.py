@@ -119,7 +119,7 @@ def _dissipative_from_dict(fields: Fields) -> DissipativePortHamiltonian:
 
 def _general_to_dict(form: GeneralModalForm) -> dict[str, Any]:
     single = form.single
-    clusters = {str(k): {"A": one.A, "B": one.B, "C": one.C} for k, one in enumerate(form.clusters, 1)}
+    clusters = {str(k): {"A": cluster.A, "B": cluster.B, "C": cluster.C} for k, cluster in enumerate(form.clusters, 1)}
     return {
         "outputs": form.noutputs, "inputs": form.ninputs, "poles": single.mode_poles, "shapes": single.shapes,
         "participation": single.participation, "feedthrough": form.feedthrough, "clusters": clusters,
@@ -166,7 +166,7 @@ _NO_DOCUMENTS = (".mat", ".csv", ".txt")  # suffixes of what other programs expe
 
 
 def _codec(kind: str) -> Codec | None:
-    return import_module(found).CODECS[kind] if isinstance(found := _CODECS.get(kind), str) else found
+    return import_module(entry).CODECS[kind] if isinstance(entry := _CODECS.get(kind), str) else entry
 
 
 def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

@@ -166,7 +166,7 @@ def _locked(descriptor: int) -> bool:
 def _remove_abandoned(folder: Path) -> None:
     """Remove temporary files whose processes were killed while they wrote."""
     with suppress(OSError), os.scandir(folder) as entries:
-        names = [(entry.path, found[1]) for entry in entries if (found := _TEMPORARY.fullmatch(entry.name))]
+        names = [(entry.path, match[1]) for entry in entries if (match := _TEMPORARY.fullmatch(entry.name))]
         for path, host in names:
             with suppress(OSError):
                 _remove_if_abandoned(path, host == _HOST)

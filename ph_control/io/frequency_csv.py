@@ -12,6 +12,7 @@ from control import FrequencyResponseData
 from scipy.special import cosdg, sindg
 
 from .. import _checks
+from .._options import MAGNITUDE_UNITS, PHASE_UNITS, DecimalMark, FrequencyUnit, MagnitudeUnit, PhaseUnit
 from .._types import Array, ComplexArray
 from .._units import with_unit
 from ..exceptions import StructureError, printable
@@ -24,7 +25,7 @@ Columns = Column | Sequence[Column] | Sequence[Sequence[Column]]
 
 FREQUENCY_UNITS = {"rad/s": 1.0, "Hz": 2 * np.pi, "kHz": 2e3 * np.pi, "MHz": 2e6 * np.pi, "GHz": 2e9 * np.pi}
 UNITS = {
-    "frequency_unit": tuple(FREQUENCY_UNITS), "magnitude_unit": ("linear", "dB"), "phase_unit": ("deg", "rad")
+    "frequency_unit": tuple(FREQUENCY_UNITS), "magnitude_unit": MAGNITUDE_UNITS, "phase_unit": PHASE_UNITS
 }  # fmt: skip
 
 _ANGULAR = ("omega", "w", "ω", "angular frequency")
@@ -86,12 +87,12 @@ def read_frequency_csv(
     phase: Columns | None = None,
     real: Columns | None = None,
     imag: Columns | None = None,
-    frequency_unit: str | None = None,
-    magnitude_unit: str | None = None,
-    phase_unit: str | None = None,
+    frequency_unit: FrequencyUnit | None = None,
+    magnitude_unit: MagnitudeUnit | None = None,
+    phase_unit: PhaseUnit | None = None,
     header: bool | None = None,
     delimiter: str | None = None,
-    decimal: str | None = None,
+    decimal: DecimalMark | None = None,
     skiprows: int | None = None,
     comment: str | None = None,
 ) -> FrequencyResponseData:
@@ -171,8 +172,8 @@ def response_in(
     signed = [(j, k, a if polar else _sign(table, j) * a, _sign(table, k) * b) for j, k, a, b in pairs]
     response = np.array([_polar(table, units, [j, k], a, b) if polar else a + 1j * b for j, k, a, b in signed])
     order = np.argsort(omega, kind="stable")
-    found = response_matrix(omega, response.reshape(*shape, -1), None, None, table.path)
-    return found, None if weights is None else values[-1][order]
+    data = response_matrix(omega, response.reshape(*shape, -1), None, None, table.path)
+    return data, None if weights is None else values[-1][order]
 
 
 def response_matrix(
@@ -183,8 +184,8 @@ def response_matrix(
     for role, labels in (("inputs", inputs), ("outputs", outputs)):
         if labels is not None:
             names[role] = _checks.without_dots([printable(label, one_line=True) for label in labels])
-    found = FrequencyResponseData(response[..., order], omega[order], title=os.path.basename(path) or None, **names)
-    return with_unit(found, "s")
+    title = os.path.basename(path) or None
+    return with_unit(FrequencyResponseData(response[..., order], omega[order], title=title, **names), "s")
 
 
 def selected_channels(
@@ -194,10 +195,10 @@ def selected_channels(
     inputs, outputs = inputs or data.input_labels, outputs or data.output_labels
     places = []
     for role, known, wanted in (("output", data.output_labels, outputs), ("input", data.input_labels, inputs)):
-        unknown = [one for one in wanted if one not in known]
+        unknown = [label for label in wanted if label not in known]
         if unknown:
             raise StructureError(f"{path}: there is no {role} {unknown[0]!r}; they are {', '.join(known)}")
-        places.append([known.index(one) for one in wanted])
+        places.append([known.index(label) for label in wanted])
     return response_matrix(data.omega, data.frdata[np.ix_(*places)], list(inputs), list(outputs), path)
 
 
@@ -218,8 +219,8 @@ def are_labels_of_response(labels: Sequence[str]) -> bool:
 
 def _columns_of(table: Table, given: Mapping[str, Any]) -> tuple[int, list[Any], bool]:
     """Column of the frequency, those of the two parts, (p, m) each, and whether they are magnitude and phase."""
-    asked = [pair for pair in _PAIRS if any(given[role] is not None for role in pair)]
-    if len(asked) > 1:
+    pairs = [pair for pair in _PAIRS if any(given[role] is not None for role in pair)]
+    if len(pairs) > 1:
         raise StructureError("magnitude or phase is given, and real or imag too; give one pair of them")
     places: dict[str, Any] = {
         role: table.only(_labelled(table.labels or (), role), role)
@@ -227,7 +228,7 @@ def _columns_of(table: Table, given: Mapping[str, Any]) -> tuple[int, list[Any],
         else _found(table, given[role], role)
         for role in _LABELS
     }
-    wanted = asked or [pair for pair in _PAIRS if all(places[role] is not None for role in pair)]
+    wanted = pairs or [pair for pair in _PAIRS if all(places[role] is not None for role in pair)]
     if len(wanted) > 1:
         raise StructureError(
             f"{table.path} has magnitude and phase, and real and imaginary part as well; choose with magnitude= and "
@@ -260,7 +261,7 @@ def _found(table: Table, given: Any, role: str) -> Any:
         raise StructureError(
             f"{role} is {_checks.shown(given)}; a list of columns, or of lists of one length, is needed"
         )
-    return np.array([[table.find(one, role) for one in row] for row in rows])
+    return np.array([[table.find(column, role) for column in row] for row in rows])
 
 
 def _labelled(columns: Sequence[str], role: str) -> list[int]:
@@ -294,9 +295,9 @@ def _unit(table: Table, column: int, given: str | None, name: str) -> str:
     known = given or _spelled(unit) or ("rad/s" if not unit and label.casefold() in _ANGULAR else None)
     if known in UNITS[name]:
         return str(known)
-    found = f"the unit {unit!r} is not known" if unit else "its label tells no unit"
+    reason = f"the unit {unit!r} is not known" if unit else "its label tells no unit"
     raise StructureError(
-        f"{table.path}: {table.name(column)}: {found}; say which with {name}=, one of "
+        f"{table.path}: {table.name(column)}: {reason}; say which with {name}=, one of "
         f"{', '.join(map(repr, UNITS[name]))}, or write it into the label, such as '... [{UNITS[name][0]}]'"
     )
 

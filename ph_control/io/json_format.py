@@ -161,9 +161,9 @@ class Fields:
         self.seen.add(key)
         return self.content[key]
 
-    def error(self, key: str, found: Any, needed: str) -> FileFormatError:
+    def error(self, key: str, value: Any, needed: str) -> FileFormatError:
         """Error about one field."""
-        return FileFormatError(f"{self.place}: {key} is {_describe(found)}, expected {needed}")
+        return FileFormatError(f"{self.place}: {key} is {_describe(value)}, expected {needed}")
 
     def _typed(self, key: str, kind: type[Value], needed: str) -> Value:
         value = self.take(key)

@@ -230,8 +230,8 @@ class _Hdf5:
 
     def kind(self, node: Any) -> str:
         """Class that MATLAB has written."""
-        told = node.attrs.get("MATLAB_class", b"")
-        return told.decode("ascii", "replace") if isinstance(told, bytes) else str(told)
+        name = node.attrs.get("MATLAB_class", b"")
+        return name.decode("ascii", "replace") if isinstance(name, bytes) else str(name)
 
     def refers(self, node: Any) -> bool:
         """Whether an array holds references to others."""

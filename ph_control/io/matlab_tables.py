@@ -12,6 +12,7 @@ import numpy as np
 from control import FrequencyResponseData, TimeResponseData
 
 from .. import _checks
+from .._options import FrequencyUnit
 from .._types import Array, ComplexArray
 from .._units import checked_unit
 from ..analysis.time_grid import printed_step
@@ -100,10 +101,10 @@ def read_mat(
     driving = [] if input is False else variables.named("input", "u" if input is None else input)
     moving = variables.named("output", "y" if output is None else output)
     vectors = [value for _, value, column in driving + moving if column is None and 1 in value.shape]
-    count = len(clock) if clock is not None else next((one.size for one in vectors), None)
+    count = len(clock) if clock is not None else next((vector.size for vector in vectors), None)
     inputs, u = _channels(driving, count, name)
     outputs, y = _channels(moving, count, name)
-    lengths = {len(one) for one in (*u, *y)} | ({len(clock)} if clock is not None else set())
+    lengths = {len(signal) for signal in (*u, *y)} | ({len(clock)} if clock is not None else set())
     if len(lengths) != 1:
         raise StructureError(
             f"{name}: the variables have {' and '.join(map(str, sorted(lengths)))} samples; choose those of one "
@@ -117,8 +118,8 @@ def read_mat(
     if step is not None:
         grid = clock[0] + step * np.arange(samples)
         if abs(grid[-1] - clock[-1]) > 0.02 * step:
-            found = printed_step(clock)
-            raise StructureError(f"{name}: dt is {dt:g}, but the step of the time is {found:.9g}; leave dt out")
+            printed = printed_step(clock)
+            raise StructureError(f"{name}: dt is {dt:g}, but the step of the time is {printed:.9g}; leave dt out")
     return recording(grid, np.array(u).reshape(-1, samples), np.array(y), inputs, outputs, name, unit)
 
 
@@ -127,7 +128,7 @@ def read_frequency_mat(
     frequency: str,
     response: str | Sequence[str],
     *,
-    frequency_unit: str | None = None,
+    frequency_unit: FrequencyUnit | None = None,
 ) -> FrequencyResponseData:
     r"""Read measured frequency responses from a MATLAB file: complex arrays, also those in structures, by their names.
 
@@ -198,7 +199,7 @@ def read_frequency_mat(
         blocks.append(block)
         inputs = block.shape[1]
     if len(set(outputs)) < len(outputs):
-        raise StructureError(f"{name}: {next(one for one in outputs if outputs.count(one) > 1)} is named twice")
+        raise StructureError(f"{name}: {next(label for label in outputs if outputs.count(label) > 1)} is named twice")
     if len({block.shape[1] for block in blocks}) != 1:
         raise StructureError(f"{name}: the responses have several numbers of inputs; read those of one number")
     if any(np.isinf(block).any() for block in blocks):
@@ -228,15 +229,15 @@ class _Variables:
     def named(self, role: str, wanted: Any) -> list[tuple[str, Array, int | None]]:
         """Name, array of at least two dimensions, and column if one was asked for."""
         names = [wanted] if isinstance(wanted, str) else wanted
-        if not isinstance(names, list | tuple) or not names or not all(isinstance(one, str) for one in names):
+        if not isinstance(names, list | tuple) or not names or not all(isinstance(text, str) for text in names):
             raise StructureError(f"{role} is {_checks.shown(wanted)}; give the name of a variable, or a list of names")
-        return [self._one(role, one.strip()) for one in names]
+        return [self._one(role, text.strip()) for text in names]
 
     def _one(self, role: str, wanted: str) -> tuple[str, Array, int | None]:
-        wanted = _FROM_ONE.sub(lambda found: f"[{','.join(str(int(k) - 1) for k in found[1].split(','))}]", wanted)
+        wanted = _FROM_ONE.sub(lambda match: f"[{','.join(str(int(k) - 1) for k in match[1].split(','))}]", wanted)
         bare, column = wanted, None
-        if wanted not in self._found and (found := _COLUMN.fullmatch(wanted)):
-            bare, column = found[1], int(found[2])
+        if wanted not in self._found and (match := _COLUMN.fullmatch(wanted)):
+            bare, column = match[1], int(match[2])
         if bare not in self._found:
             close = difflib.get_close_matches(bare, self._found, 1)
             hint = f"; did you mean {close[0]!r}?" if close else ""
@@ -253,17 +254,17 @@ class _Variables:
 
     def time(self, wanted: Any, step: float | None) -> Array | None:
         """Instants, or None where a step takes their place."""
-        found = None if wanted is False else wanted
+        instants = None if wanted is False else wanted
         if wanted is None and step is None:
-            found = next((one for one in _TIMES if one in self._found), None)
-        if found is None:
+            instants = next((label for label in _TIMES if label in self._found), None)
+        if instants is None:
             if step is None:
                 raise StructureError(
                     f"{self.name}: no variable is the time; name it with time=, or give the time between samples with "
                     f"dt= (the file has {', '.join(list(self._found)[:30])})"
                 )
             return None
-        ((label, value, column),) = self.named("time", [found])
+        ((label, value, column),) = self.named("time", [instants])
         return _real(np.ravel(value) if column is None else value[:, column], label, self.name)
 
 
@@ -318,7 +319,7 @@ def _channels(variables: list[tuple[str, Array, int | None]], count: int | None,
         labels += channels
         rows += channels.values()
     if len(set(labels)) < len(labels):
-        raise StructureError(f"{name}: {next(one for one in labels if labels.count(one) > 1)} is named twice")
+        raise StructureError(f"{name}: {next(label for label in labels if labels.count(label) > 1)} is named twice")
     return labels, rows
 
 

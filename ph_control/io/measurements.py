@@ -111,8 +111,8 @@ def _dotted(names: Any) -> Any:
 
 def read_measurements(path: str | Path) -> Any:
     """Recording or frequency response of a file, with the defaults of its reader; of a universal file, a list."""
-    found, _ = measured(path, {})
-    return found if len(found) > 1 else found[0]
+    measurements, _ = measured(path, {})
+    return measurements if len(measurements) > 1 else measurements[0]
 
 
 def measured(source: Any, options: Mapping[str, Any]) -> tuple[list[Any], Any]:
@@ -125,7 +125,7 @@ def measured(source: Any, options: Mapping[str, Any]) -> tuple[list[Any], Any]:
     if suffix in SUFFIXES:
         return read_uff(source, input=input or None, output=output), None
     if is_touchstone(name):
-        columns, rows = ([one] if isinstance(one, str) else one or None for one in (input, output))
+        columns, rows = ([role] if isinstance(role, str) else role or None for role in (input, output))
         network = read_touchstone(source, parameter=given.get("parameter", "Z"))
         return [selected_channels(network, columns, rows, name)], None
     if suffix in READERS or (suffix in _MATLAB and "frequency" not in given):
@@ -140,14 +140,14 @@ def measured(source: Any, options: Mapping[str, Any]) -> tuple[list[Any], Any]:
 
 def _in_table(source: Any, given: Mapping[str, Any]) -> tuple[list[Any], Any]:
     options = TextOptions(*(given.get(key) for key in _IN_TEXT))
-    told, contrary = ([key for key in keys if key in given] for keys in (_IN_FREQUENCY, _IN_TIME))
+    given_keys, contrary = ([key for key in keys if key in given] for keys in (_IN_FREQUENCY, _IN_TIME))
     wanted = None if contrary else are_labels_of_response
     table = read_table(read_bytes(source), source_name(source), options, wanted)
-    if told and contrary:
+    if given_keys and contrary:
         raise StructureError(
-            f"{told[0]}= is for frequency responses and {contrary[0]}= for recordings in time; give one"
+            f"{given_keys[0]}= is for frequency responses and {contrary[0]}= for recordings in time; give one"
         )
-    if told or (not contrary and is_frequency_table(table)):
+    if given_keys or (not contrary and is_frequency_table(table)):
         columns, units = ({key: given.get(key) for key in keys} for keys in (COLUMNS, UNITS))
         data, weights = response_in(table, columns, units, given.get("weights"))
         return [data], weights

@@ -12,6 +12,7 @@ import numpy as np
 from control import TimeResponseData
 
 from .. import _checks
+from .._options import DecimalMark
 from .._types import Array
 from .._units import checked_unit, with_unit
 from ..analysis.time_grid import printed_step
@@ -36,7 +37,7 @@ def read_csv(
     time_unit: str | None = None,
     header: bool | None = None,
     delimiter: str | None = None,
-    decimal: str | None = None,
+    decimal: DecimalMark | None = None,
     skiprows: int | None = None,
     comment: str | None = None,
 ) -> TimeResponseData:
@@ -150,11 +151,11 @@ def recording(
 ) -> TimeResponseData:
     """Data of python-control: inputs (m, N), outputs (p, N), their labels, and the file they come from."""
     inputs, outputs = ([printable(label, one_line=True) for label in labels] for labels in (inputs, outputs))
-    found = TimeResponseData(
+    data = TimeResponseData(
         grid, y, inputs=u if len(u) else None, issiso=len(y) == 1 and len(u) <= 1, input_labels=inputs or None,
         output_labels=outputs, title=Path(path).name,
     )  # fmt: skip
-    return with_unit(found, unit)
+    return with_unit(data, unit)
 
 
 def complete_grid(instants: Array, u: Any, inputs: Sequence[str], path: str) -> Array:
@@ -224,8 +225,8 @@ def _signal_columns(table: Table, clock: int | None, input: Any, output: Any) ->
             f"columns are left to choose from; say which with {' and '.join(f'{name}=' for name in missing)}{free}"
             f"{several} ({table.listing()}){_proposed_signals(table, rest, missing)}"
         )
-    found = {**chosen, **{name: [column] for name, column in zip(missing, rest, strict=False)}}
-    return found["input"] or [], found["output"] or []
+    columns = {**chosen, **{name: [column] for name, column in zip(missing, rest, strict=False)}}
+    return columns["input"] or [], columns["output"] or []
 
 
 def _proposed_signals(table: Table, rest: list[int], missing: list[str]) -> str:
@@ -248,7 +249,7 @@ def _chosen(table: Table, wanted: Any, role: str) -> list[int] | None:
         if not wanted:
             hint = "; pass input=False for a recording without input" if role == "input" else ""
             raise StructureError(f"{role} is an empty list; name at least one column{hint}")
-        return [table.find(one, role) for one in wanted]
+        return [table.find(column, role) for column in wanted]
     return [table.find(wanted, role)]
 
 
@@ -290,7 +291,7 @@ def _why_not_uniform(table: Table, t: Array, column: int) -> str:
     gaps = np.diff(t)
     median = float(np.median(gaps))
     k = int(np.argmax(gaps <= 0) if (gaps <= 0).any() else np.argmax(np.abs(gaps - median)))
-    place = f"{table.at(k + 1, column)}: the time is {t[k + 1]:.12g}, after {t[k]:.12g} in {table.line(k)}"
+    place = f"{table.place_of(k + 1, column)}: the time is {t[k + 1]:.12g}, after {t[k]:.12g} in {table.line(k)}"
     if gaps[k] == 0 and (step := _step_of_coarse_clock(t, gaps)):
         return (
             f"{place}; the instants are printed in steps of {gaps.max():.6g}, which is longer than the time between "

@@ -12,19 +12,20 @@ import numpy as np
 from control import FrequencyResponseData
 
 from .. import _checks
+from .._options import NETWORK_PARAMETERS, NetworkParameter
 from ..exceptions import FileFormatError, MissingPackageError, StructureError
 from .files import read_bytes, source_name
 from .frequency_csv import response_matrix
 from .tables.text_table import text_lines
-
-PARAMETERS = ("Z", "Y", "S")
 
 # signals that drive the ports, and what answers
 _SIGNALS = {"Z": ("i", "v"), "Y": ("v", "i"), "S": ("a", "b")}
 _SINGULAR = 1e-12  # of I - S or I + S: no digits of the immittance would be left
 
 
-def read_touchstone(path: str | os.PathLike[str] | BinaryIO | TextIO, *, parameter: str = "Z") -> FrequencyResponseData:
+def read_touchstone(
+    path: str | os.PathLike[str] | BinaryIO | TextIO, *, parameter: NetworkParameter = "Z"
+) -> FrequencyResponseData:
     r"""Read a measured network from a Touchstone file (.s1p, .s2p, ..., .ts) as impedances, admittances or waves.
 
     Parameters
@@ -74,7 +75,7 @@ def read_touchstone(path: str | os.PathLike[str] | BinaryIO | TextIO, *, paramet
     >>> data.frdata[0, 0].real.round(6), data.omega.round(-3)
     (array([ 50., 150.]), array([ 6283000., 12566000.]))
     """
-    _checks.choice("parameter", parameter, PARAMETERS)
+    _checks.choice("parameter", parameter, NETWORK_PARAMETERS)
     name = source_name(path)
     text = "\n".join(text_lines(read_bytes(path), name))
     network = _network(text, name)
@@ -109,7 +110,7 @@ def _network(text: str, name: str) -> Any:
         warnings.simplefilter("ignore")
         try:
             network = skrf.Network(stream)
-            found = np.asarray(network.s), np.asarray(network.f), np.asarray(network.z0)
+            S, frequencies, impedances = np.asarray(network.s), np.asarray(network.f), np.asarray(network.z0)
         except Exception as error:
             # a damaged file ends in errors of every kind
             reason = str(error).split(".")[0][:100] or type(error).__name__
@@ -117,25 +118,25 @@ def _network(text: str, name: str) -> Any:
                 f"{name} is not a Touchstone file, or damaged ({reason}); the suffix gives the number of ports (.s2p); "
                 "export it again in version 1 or 2"
             ) from None
-    if not len(found[1]):
+    if not len(frequencies):
         raise FileFormatError(f"{name} holds no frequencies; export the measurement again")
-    if not all(np.isfinite(part).all() for part in found):
+    if not all(np.isfinite(part).all() for part in (S, frequencies, impedances)):
         raise FileFormatError(
             f"{name} holds numbers that are not finite, or beyond the range of doubles; export it again"
         )
-    if (found[2].real <= 0).any():
+    if (impedances.real <= 0).any():
         raise FileFormatError(
-            f"{name} has a reference impedance of {found[2].real.min():.6g} ohm (R in the line that begins with #); it "
-            "must be positive"
+            f"{name} has a reference impedance of {impedances.real.min():.6g} ohm (R in the line that begins with #); "
+            "it must be positive"
         )
     return network
 
 
 def _refuse_cut(text: str, count: int, name: str) -> None:
     """Refuse a file of version 2 with fewer frequencies than it announces."""
-    told = re.search(r"^\s*\[number of frequencies\]\s*(\d+)", text, re.IGNORECASE | re.MULTILINE)
-    if told and int(told[1]) != count:
-        raise FileFormatError(f"{name} has {count} frequencies, and says {told[1]}; copy or export it again")
+    stated = re.search(r"^\s*\[number of frequencies\]\s*(\d+)", text, re.IGNORECASE | re.MULTILINE)
+    if stated and int(stated[1]) != count:
+        raise FileFormatError(f"{name} has {count} frequencies, and says {stated[1]}; copy or export it again")
 
 
 def _refuse_singular(S: Any, f: Any, parameter: str, name: str) -> None:

@@ -146,25 +146,26 @@ def read_uff(
         if input is not None or output is not None:
             raise StructureError(f"{name} holds modes, which are read as a whole; leave out input and output")
         return [modes]
-    known = list(dict.fromkeys(label for one in functions for label in (one.response, one.reference)))
+    known = list(dict.fromkeys(label for function in functions for label in (function.response, function.reference)))
     inputs, outputs = (_in_file(labels, known) for labels in wanted)
     kinds = [_matrices(functions, name, inputs, outputs), _recordings(functions, name, inputs, outputs)]
     # in the order of the file, by the first function of each
-    found = [data for _, data in sorted(((place, data) for kind in kinds for place, data in kind), key=lambda x: x[0])]
-    if not found:
+    placed = [placed_data for kind in kinds for placed_data in kind]
+    data_sets = [data for _, data in sorted(placed, key=lambda placed_data: placed_data[0])]
+    if not data_sets:
         raise StructureError(
             f"{name}: no function has the labels asked for; those of the file are {', '.join(sorted(known))}"
         )
-    return found
+    return data_sets
 
 
 def _labels(role: str, given: Any) -> list[str] | None:
     if given is None:
         return None
-    found = [given] if isinstance(given, str) else given
-    if not isinstance(found, list | tuple) or not found or not all(isinstance(one, str) for one in found):
+    labels = [given] if isinstance(given, str) else given
+    if not isinstance(labels, list | tuple) or not labels or not all(isinstance(label, str) for label in labels):
         raise StructureError(f"{role} is {_checks.shown(given)}; give a label such as '3+Z', or a list of these")
-    return list(found)
+    return list(labels)
 
 
 def _in_file(wanted: list[str] | None, known: list[str]) -> list[str] | None:
@@ -178,14 +179,14 @@ def _in_file(wanted: list[str] | None, known: list[str]) -> list[str] | None:
 
 def _functions(data_sets: list[tuple[int, dict[str, Any]]], name: str) -> tuple[list[_Function], set[str]]:
     """Recorded functions of a file, all checked, and kinds of the others."""
-    found, others = [], set()
+    functions, others = [], set()
     for place, fields in data_sets:
         function = _function(fields, f"{name}, data set {place + 1}")
         if function is None:
             others.add(_OTHERS.get(fields["func_type"], f"function type {fields['func_type']}"))
         else:
-            found.append(function)
-    return found, others
+            functions.append(function)
+    return functions, others
 
 
 def _data_sets(content: bytes, name: str, number: int) -> list[tuple[int, dict[str, Any]]]:
@@ -205,7 +206,7 @@ def _data_sets(content: bytes, name: str, number: int) -> list[tuple[int, dict[s
         try:
             file = pyuff.UFF(str(copy))
             places = [k for k, kind in enumerate(file.get_set_types()) if kind == number]
-            found = [(k, file.read_sets(k)) for k in places]
+            sets = [(k, file.read_sets(k)) for k in places]
         except Exception as error:
             # a damaged file ends in errors of every kind
             raise FileFormatError(
@@ -213,7 +214,7 @@ def _data_sets(content: bytes, name: str, number: int) -> list[tuple[int, dict[s
             ) from None
     if not content.rstrip(b" \r\n\t\0\x1a").endswith(b"    -1"):
         raise FileFormatError(f"{name} is cut short: its last data set does not end in '    -1'; copy it again")
-    return found
+    return sets
 
 
 def _function(fields: dict[str, Any], place: str) -> _Function | None:
@@ -267,11 +268,11 @@ def _printed_grid(first: float, step: float, count: int) -> Array:
     """Grid whose first value and step were printed with six digits."""
     if not (step > 0 and np.isfinite(step)):
         raise FileFormatError(f"the step of the axis is {step:g}; it must be positive")
-    found = shortest_number(step, _rounding(step))
-    whole = round(first / found)
+    printed = shortest_number(step, _rounding(step))
+    whole = round(first / printed)
     error = _rounding(first) if first else 0.0
-    start = whole * found if abs(whole * found - first) <= error else first
-    return np.asarray(start + found * np.arange(count))
+    start = whole * printed if abs(whole * printed - first) <= error else first
+    return np.asarray(start + printed * np.arange(count))
 
 
 def _rounding(value: float) -> float:
@@ -291,19 +292,19 @@ def _matrices(
 ) -> Iterator[tuple[int, FrequencyResponseData]]:
     """Frequency responses, as matrices, each with the place of its first function."""
     groups: list[tuple[int, Array, dict[tuple[str, str], _Function]]] = []
-    for place, one in enumerate(functions):
-        if one.in_time or not _asked(outputs, one.response) or not _asked(inputs, one.reference):
+    for place, function in enumerate(functions):
+        if function.in_time or not _asked(outputs, function.response) or not _asked(inputs, function.reference):
             continue
-        pair = one.response, one.reference
-        group = next((g for g in groups if _same_axis(g[1], one.abscissa) and pair not in g[2]), None)
+        pair = function.response, function.reference
+        group = next((g for g in groups if _same_axis(g[1], function.abscissa) and pair not in g[2]), None)
         if group is None:
-            groups.append(group := (place, one.abscissa, {}))
-        group[2][pair] = one
+            groups.append(group := (place, function.abscissa, {}))
+        group[2][pair] = function
     for place, hertz, entries in groups:
         rows, columns = (_ordered(wanted, [pair[k] for pair in entries]) for k, wanted in ((0, outputs), (1, inputs)))
         matrix = np.full((len(rows), len(columns), len(hertz)), np.nan, complex)
-        for (response, reference), one in entries.items():
-            matrix[rows.index(response), columns.index(reference)] = one.values
+        for (response, reference), function in entries.items():
+            matrix[rows.index(response), columns.index(reference)] = function.values
         data = response_matrix(2 * np.pi * hertz, matrix, columns, rows, name)
         yield place, _described(data, rows, columns, list(entries.values()))
 
@@ -354,16 +355,16 @@ def _described(data: Any, outputs: list[str], inputs: list[str], functions: list
 
     An output of which this is known is a driving point where an input has its place and direction.
     """
-    found: dict[str, set[str | None]] = {}
-    for one in functions:
-        found.setdefault(one.response, set()).add(one.quantity if one.by_force else None)
+    quantities: dict[str, set[str | None]] = {}
+    for function in functions:
+        quantities.setdefault(function.response, set()).add(function.quantity if function.by_force else None)
     # the labels of the data may differ from those of the file
     rows, columns = dict(zip(outputs, data.output_labels, strict=True)), {}
     if inputs:
         columns = dict(zip(inputs, data.input_labels, strict=True))
-    told = {label: one for label, (one, *others) in found.items() if one and not others}
-    data.quantity = {rows[label]: one for label, one in told.items()}
-    data.ports = [(rows[label], columns[label]) for label in told if label in columns and _has_direction(label)]
+    known = {label: quantity for label, (quantity, *others) in quantities.items() if quantity and not others}
+    data.quantity = {rows[label]: quantity for label, quantity in known.items()}
+    data.ports = [(rows[label], columns[label]) for label in known if label in columns and _has_direction(label)]
     return data
 
 
@@ -375,6 +376,6 @@ def _asked(wanted: list[str] | None, label: str) -> bool:
     return wanted is None or label in wanted
 
 
-def _ordered(wanted: list[str] | None, found: list[str]) -> list[str]:
+def _ordered(wanted: list[str] | None, labels: list[str]) -> list[str]:
     """Labels that were found, in the order in which they were asked for, or appear."""
-    return [label for label in wanted if label in found] if wanted else list(dict.fromkeys(found))
+    return [label for label in wanted if label in labels] if wanted else list(dict.fromkeys(labels))

@@ -188,7 +188,7 @@ def _nodes_of(labels: Sequence[str], places: Any) -> tuple[list[int], list[int],
                 f"{_checks.shown(place)} is not a node and translation direction; pass such as places=['3+Z', ..]"
             )
     known = [(int(part[1]), _AXES.index(part[3])) for part in parts if part]
-    twice = next((k for k, one in enumerate(known) if one in known[:k]), None)
+    twice = next((k for k, node in enumerate(known) if node in known[:k]), None)
     if twice is not None:
         raise StructureError(
             f"outputs {labels[known.index(known[twice])]!r} and {labels[twice]!r} are both at {each[twice]!r}; give "
@@ -236,16 +236,16 @@ def _reals(*values: complex) -> str:
 def modes_in(data_sets: Sequence[Mapping[str, Any]], name: str) -> UniversalModes | None:
     """Normal and complex modes of data sets 55, or None where these hold other results."""
     try:
-        found = [one for fields in data_sets for one in _mode(fields)]
+        modes = [mode for fields in data_sets for mode in _mode(fields)]
     except (KeyError, ValueError, TypeError, IndexError) as error:
         raise FileFormatError(f"{name} has a damaged mode shape ({type(error).__name__}); export it again") from None
-    if not found:
+    if not modes:
         return None
-    places = sorted({place for _, _, shape in found for place in shape})
+    places = sorted({place for _, _, shape in modes for place in shape})
     # directions that were not measured are 0 in the files
-    places = [place for place in places if any(shape.get(place) for _, _, shape in found)]
-    poles, modal_a = (np.array([one[k] for one in found], complex) for k in (0, 1))
-    shapes = np.array([[shape.get(place, 0.0) for place in places] for _, _, shape in found], complex)
+    places = [place for place in places if any(shape.get(place) for _, _, shape in modes)]
+    poles, modal_a = (np.array([mode[k] for mode in modes], complex) for k in (0, 1))
+    shapes = np.array([[shape.get(place, 0.0) for place in places] for _, _, shape in modes], complex)
     if not places or not all(np.isfinite(array).all() for array in (poles, shapes, modal_a)):
         raise FileFormatError(f"{name} has mode shapes that are not finite, or all 0; export them again")
     labels = tuple(f"{node}+{_AXES[axis]}" for node, axis in places)

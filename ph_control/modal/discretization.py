@@ -16,15 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _checks
+from .._options import DISCRETISATIONS, INTERPOLATIONS, Discretisation, Interpolation
 from .._types import Array, ComplexArray, Mask
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics import double_double as tf
 from ..numerics.exponential import one_step
 from ..numerics.pole_residue import SAFETY, PoleResidueForm
 from ..numerics.rational import LinearSystem
-
-METHODS = ("exact", "midpoint", "euler")
-INTERSAMPLE = ("zoh", "foh")
 
 _LARGEST_GROWTH = 1e50  # of a mode over a record, where the method makes modes grow
 _DEAD = -1e6  # logarithm of a multiplier that is 0: any power of it is 0, but the power 0
@@ -116,8 +114,8 @@ class Hold:
     """
 
     h: float
-    method: str = "exact"
-    intersample: str = "zoh"
+    method: Discretisation = "exact"
+    intersample: Interpolation = "zoh"
 
     def multiplier(self, p: ComplexArray) -> ComplexArray:
         """Factor `lambda` of the state in one step, shape of `p`."""
@@ -300,12 +298,12 @@ _OTHER_NAMES = {
 }
 
 
-def check_method(method: str) -> str:
+def check_method(method: object) -> Discretisation:
     """Check the name of a rule of stepping; those of python-control are explained."""
     if isinstance(method, str) and method in _OTHER_NAMES:
         rule, hold = _OTHER_NAMES[method]
         raise StructureError(f"method is {method!r}; here that is method={rule!r} with intersample={hold!r}")
-    return _checks.choice("method", method, METHODS)
+    return _checks.choice("method", method, DISCRETISATIONS)
 
 
 def phi_1(z: ComplexArray, rest: ComplexArray | float = 0.0) -> ComplexArray:
@@ -339,7 +337,7 @@ def _integrals(z: ComplexArray, rest: ComplexArray) -> tuple[ComplexArray, ...]:
 # --- back to continuous time: the inverse of each discretisation, pole by pole ------------------------------------
 
 
-def sampling_rule(sys: LinearSystem, method: str | None, intersample: str) -> Hold:
+def sampling_rule(sys: LinearSystem, method: Discretisation | None, intersample: Interpolation) -> Hold:
     """Check how a discrete-time system was sampled."""
     if method is None:
         raise NotLosslessError(
@@ -349,7 +347,7 @@ def sampling_rule(sys: LinearSystem, method: str | None, intersample: str) -> Ho
             ]
         )
     check_method(method)
-    _checks.choice("intersample", intersample, INTERSAMPLE)
+    _checks.choice("intersample", intersample, INTERPOLATIONS)
     if isinstance(sys.dt, bool):
         raise StructureError(f"dt of the system is {sys.dt}; a sampling step in seconds is needed to go back")
     hold = Hold(_checks.sampling_step(sys.dt), method, intersample)

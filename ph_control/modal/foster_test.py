@@ -15,6 +15,7 @@ import numpy as np
 import scipy.signal
 
 from .. import _checks
+from .._options import Discretisation, Interpolation
 from .._types import Array, ComplexArray, Mask, NDArray
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics import definiteness as _definite
@@ -40,7 +41,9 @@ class Judged(NamedTuple):
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what overflows is refused where it matters
-def lossless_modes_with_errors(sys: LinearSystem, method: str | None = None, intersample: str = "zoh") -> Judged:
+def lossless_modes_with_errors(
+    sys: LinearSystem, method: Discretisation | None = None, intersample: Interpolation = "zoh"
+) -> Judged:
     """Minimal modal form and the bounds of its errors that the decision used.
 
     Takes a continuous-time `control.StateSpace` or `control.TransferFunction` (so also what `control.zpk`
@@ -72,7 +75,7 @@ def lossless_modes_with_errors(sys: LinearSystem, method: str | None = None, int
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
-def of_sampled(sys: LinearSystem, method: str | None, intersample: str) -> PoleResidueForm:
+def of_sampled(sys: LinearSystem, method: Discretisation | None, intersample: Interpolation) -> PoleResidueForm:
     """Poles and residues in continuous time of any system that was sampled."""
     rule = sampling_rule(sys, method, intersample)
     return continuous(_poles_and_residues(sys, rule), rule)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import matrix_balance
 
 from .. import _checks
+from .._options import AxisScale, ResponseInterpolation
 from .._types import Array
 from .._units import parted, unit_for
 from ..analysis.margins import margin
@@ -33,7 +34,7 @@ from .response_picture import (
     draw_responses,
     is_logarithmic,
 )
-from .style import LineStyle, Look, frequency_axis, plain, told_gain_unit
+from .style import AxesGiven, LineStyle, Look, frequency_axis, plain, told_gain_unit
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -55,12 +56,12 @@ def bode_plot(
     *,
     data: ct.TimeResponseData | ct.FrequencyResponseData | None = None,
     segments: int = 8,
-    intersample: str = "zoh",
+    intersample: ResponseInterpolation = "zoh",
     confidence: Any = None,
     level: float = 0.95,
     omega_limits: ArrayLike | None = None,
     omega_num: int | None = None,
-    scale: str = "log",
+    scale: AxisScale = "log",
     Hz: bool = False,
     dB: bool = True,
     deg: bool = True,
@@ -72,7 +73,7 @@ def bode_plot(
     gain_unit: str | None = None,
     label: str | Sequence[str] | None = None,
     data_label: str | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Bode plot that shows every resonance and antiresonance, and measurements with it.
@@ -195,7 +196,9 @@ def bode_plot(
         if display_margins:
             panels = dict(zip(rows, drawn.axes[:, 0], strict=True))
             subjects = subjects_of(sysdata, None, tabulated=True)
-            observed = [one.given.observed_system if is_fit(one.given) else one.system for one in subjects]
+            observed = [
+                subject.given.observed_system if is_fit(subject.given) else subject.system for subject in subjects
+            ]
             _draw_margins(panels, numbers, observed, drawn.lines[0, 0], drawing)
         # a curve that is nowhere must at least be told
         legend = look.legend(drawn.axes[0, -1], 1 if any(curve.vanishes for curve in numbers.curves) else 2)
@@ -214,8 +217,8 @@ def _draw_margins(
         decibels = 20.0 * np.log10(gm) if gm else -np.inf
         if "phase" in panels and np.isfinite(pm):
             # the phase of the curve may be whole turns away
-            at = np.interp(wcp, curve.omega, curve.phase(0, 0))
-            critical = -180.0 + 360.0 * np.round((at - (pm - 180.0)) / 360.0)
+            phase_there = np.interp(wcp, curve.omega, curve.phase(0, 0))
+            critical = -180.0 + 360.0 * np.round((phase_there - (pm - 180.0)) / 360.0)
             low, high = panels["phase"].get_ylim()
             panels["phase"].set_ylim(min(low, size * (critical - 20.0)), max(high, size * (critical + 20.0)))
             panels["phase"].axhline(size * critical, **LIMIT)
@@ -242,7 +245,7 @@ def bode_data(
     data: Any = None,
     *,
     segments: int = 8,
-    intersample: str = "zoh",
+    intersample: ResponseInterpolation = "zoh",
     omega_limits: ArrayLike | None = None,
     omega_num: int | None = None,
     unit: float = 1.0,
@@ -251,7 +254,7 @@ def bode_data(
     label: str | Sequence[str] | None = None,
     data_label: str | None = None,
     unit_name: str = "",
-    scale: str | None = "log",
+    scale: AxisScale | None = "log",
 ) -> DrawnResponses:
     """Compute what `bode_plot` draws; its arguments, and the unit of frequencies with its size in rad per unit time."""
     if omega_num is not None:
@@ -260,23 +263,25 @@ def bode_data(
     first = subjects[0].system
     models = models_around(confidence, subjects, "magnitude_band", "phase_band")
     measured = _measurement(data, first, segments, intersample, data_label)
-    extents = np.concatenate([_extent(one.system, measured) for one in subjects])
+    extents = np.concatenate([_extent(subject.system, measured) for subject in subjects])
     grid, low, high = _frequencies(extents, measured, omega, omega_limits, unit)
     axis = FrequencyAxis(low, high, unit, unit_name, is_logarithmic(scale, low, high))
-    curves = [_curve(one, grid, low, high, omega_num) for one in subjects]
+    curves = [_curve(subject, grid, low, high, omega_num) for subject in subjects]
     for k, (curve, drawn) in enumerate(zip(curves, models, strict=True)):
         if drawn is not None:
             near = frequency_grid(curve.singular, low, high, False, omega_num, _AROUND_BAND, _CLOSEST_BAND)
             curves[k] = replace(curve, bands={(0, 0): band_of(drawn, near if grid is None else grid, level)})
     title = title_of("Bode plot", subjects, label is not None)
     if title == "Bode plot" and first.issiso():
-        source, sensor = (parted(one[0])[0] for one in (first.input_labels, first.output_labels))
+        source, sensor = (parted(labels[0])[0] for labels in (first.input_labels, first.output_labels))
         title += f", {source} to {sensor}" * (not {source, sensor} & {"u", "y", "u[0]", "y[0]"})
     dots = [] if measured is None else [measured]
     return DrawnResponses(curves, dots, axis, first.output_labels, first.input_labels, title)
 
 
-def _measurement(data: Any, sys: Any, segments: int, intersample: str, label: str | None) -> Curve | None:
+def _measurement(
+    data: Any, sys: Any, segments: int, intersample: ResponseInterpolation, label: str | None
+) -> Curve | None:
     """The dots: a frequency response as it is, or the spectral estimate of a record."""
     if data is None:
         return None

@@ -16,7 +16,7 @@ from ..controllers.damping_injection import controller_of, damping_injection, pl
 from ..exceptions import StructureError
 from ..systems.port_hamiltonian import PortHamiltonian
 from .inputs import subjects_of, title_of
-from .style import LineStyle, Look, frequency_axis, labelled, picture
+from .style import AxesGiven, LineStyle, Look, frequency_axis, labelled, picture
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -35,7 +35,7 @@ def damping_plot(
     factors: ArrayLike | None = None,
     Hz: bool = False,
     time_unit: str | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Damping of the modes of a loop over the strength of its controller, and the locus of its poles.
@@ -97,26 +97,26 @@ def damping_plot(
     look = Look.of(style)
     with look.context():
         drawn = picture(look, ax, (1, 2), (9.0, 3.8))
-        left, right = drawn.axes[0]
+        ratio_axis, right = drawn.axes[0]
         drawn.lines[0, :] = [[], []]
         for k, column in enumerate(moving):
             p = np.where(paths[:, column].imag > 0, paths[:, column], np.nan)
             size, zeta = np.abs(p) / unit, -100 * p.real / np.abs(p)
             line = {**look.curve(k), "label": f"mode {k + 1}" if len(moving) <= _NAMED else None}
-            drawn.lines[0, 0] += left.semilogx(scale, zeta, **line)
+            drawn.lines[0, 0] += ratio_axis.semilogx(scale, zeta, **line)
             drawn.lines[0, 1] += right.plot(size, zeta, **{**line, "label": None})
             color = drawn.lines[0, 1][-1].get_color()
             for pole, mark in ((first[column], _START), (at_one[column], _CHOSEN)):
                 if pole.imag > 0:
                     right.plot(abs(pole) / unit, -100 * pole.real / abs(pole), color=color, **mark)
-        left.axvline(1.0, color="0.5", linewidth=0.8, linestyle="--")
-        left.set(xlabel="Factor of the controller", ylabel="Damping ratio [%]", ylim=(0, None))
+        ratio_axis.axvline(1.0, color="0.5", linewidth=0.8, linestyle="--")
+        ratio_axis.set(xlabel="Factor of the controller", ylabel="Damping ratio [%]", ylim=(0, None))
         right.set(xlabel=labelled("Natural frequency", unit_name), ylabel="Damping ratio [%]", ylim=(0, None))
         right.set_xlim(0, None)
-        for axis in (left, right):
+        for axis in (ratio_axis, right):
             look.lattice(axis)
         title = title_of("Damping", subjects_of(sys, None), False)
-        return drawn.finished(f"{title} over the gain", look.legend(left))
+        return drawn.finished(f"{title} over the gain", look.legend(ratio_axis))
 
 
 def _loci(sys: PortHamiltonian, gain: Any, ports: Any, scale: Array) -> tuple[Any, Any, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import control as ct
 
@@ -13,7 +13,7 @@ from ..analysis.energy import EnergyBalance
 from ..analysis.passivity import PassivityReport
 from ..exceptions import StructureError
 from .inputs import as_list
-from .style import ZERO, LineStyle, Look, extremes, labelled, picture, plain
+from .style import ZERO, AxesGiven, LineStyle, Look, extremes, labelled, picture, plain
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -30,7 +30,7 @@ def energy_plot(
     time_unit: str | None = None,
     energy_unit: str | None = None,
     label: str | Sequence[str] | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     r"""Energy stored along a response and supplied to it, and the difference below.
@@ -77,41 +77,41 @@ def energy_plot(
     >>> plt.close(plot.figure)
     """
     balances = as_list(balance, "balances")
-    for one in balances:
-        if not isinstance(one, EnergyBalance):
-            raise StructureError(f"this is a {type(one).__name__}; pass what energy_balance(response, sys) gives")
+    for energies in balances:
+        if not isinstance(energies, EnergyBalance):
+            raise StructureError(f"this is a {type(energies).__name__}; pass what energy_balance(response, sys) gives")
     names = _checks.labels([""] * len(balances) if label is None else label, len(balances), "balances")
     look = Look.of(style)
     with look.context():
         drawn = picture(look, ax, (2, 1), (6.4, 4.6), sharex=True, height_ratios=[2.0, 1.0])
         above, below = drawn.axes[:, 0]
         drawn.lines[:, 0] = [[], []]
-        for k, (one, name) in enumerate(zip(balances, names, strict=True)):
+        for k, (energies, name) in enumerate(zip(balances, names, strict=True)):
             stored, supplied = {"color": f"C{2 * k}"}, {"color": f"C{2 * k + 1}", "linestyle": "--"}
             prefix = f"{name}: " if name else ""
             lost = {"color": f"C{2 * k + 1}", "linestyle": ":", "linewidth": 1.4}
-            losses = [(above, one.dissipated, f"{prefix}dissipated since the start", lost)] * bool(one.dissipated.any())
+            dissipated = (above, energies.dissipated, f"{prefix}dissipated since the start", lost)
             for axis, energy, text, line in (
-                (above, one.stored, f"{prefix}stored", {**stored, "linewidth": 1.4}),
-                (above, one.supplied, f"{prefix}supplied since the start", {**supplied, "linewidth": 1.4}),
-                *losses,
-                (below, one.defect, name, {**stored, "linewidth": 1.0}),
+                (above, energies.stored, f"{prefix}stored", {**stored, "linewidth": 1.4}),
+                (above, energies.supplied, f"{prefix}supplied since the start", {**supplied, "linewidth": 1.4}),
+                *[dissipated] * bool(energies.dissipated.any()),
+                (below, energies.defect, name, {**stored, "linewidth": 1.0}),
             ):
-                found = axis.plot(*extremes(one.time, energy), label=plain(text), **{**line, **look.line})
-                drawn.lines[int(axis is below), 0] += found
+                curves = axis.plot(*extremes(energies.time, energy), label=plain(text), **{**line, **look.line})
+                drawn.lines[int(axis is below), 0] += curves
         for axis in (above, below):
             axis.axhline(0.0, **ZERO)
-            axis.set_xlim(min(one.time[0] for one in balances), max(one.time[-1] for one in balances))
+            axis.set_xlim(min(each.time[0] for each in balances), max(each.time[-1] for each in balances))
             look.lattice(axis)
         above.set_ylabel(labelled("Energy", energy_unit))
-        lossy = any(one.dissipated.any() for one in balances)
+        lossy = any(energies.dissipated.any() for energies in balances)
         time = labelled("Time", unit_for(time_unit, balances))
         rest = "Stored + lost\nless supplied" if lossy else "Stored less\nsupplied"
         below.set(xlabel=time, ylabel=labelled(rest, energy_unit))
         return drawn.finished("Energy balance")
 
 
-def passivity_plot(report: PassivityReport, *, ax: Any = None, **style: Unpack[LineStyle]) -> ct.ControlPlot:
+def passivity_plot(report: PassivityReport, *, ax: AxesGiven = None, **style: Unpack[LineStyle]) -> ct.ControlPlot:
     """Smallest eigenvalue of `(G + G^H) / 2`, or largest singular value of `S`, with the active bands shaded.
 
     Parameters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import control as ct
 import matplotlib as mpl
@@ -17,7 +17,20 @@ from .._display import percent
 from .._types import Array
 from ..exceptions import StructureError
 from .inputs import is_fit
-from .style import MEASURED, SAMPLES, STYLES, ZERO, FrameStyle, Look, Picture, extremes, labelled, picture, plain
+from .style import (
+    MEASURED,
+    SAMPLES,
+    STYLES,
+    ZERO,
+    AxesGiven,
+    FrameStyle,
+    Look,
+    Picture,
+    extremes,
+    labelled,
+    picture,
+    plain,
+)
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -38,8 +51,8 @@ def fit_plot(
     time_unit: str | None = None,
     output_label: str | None = None,
     output_unit: str | None = None,
-    detail: str | ArrayLike | None = "auto",
-    ax: Any = None,
+    detail: Literal["auto"] | ArrayLike | None = "auto",
+    ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Measured and predicted output, the residual below, and a few periods enlarged.
@@ -130,7 +143,7 @@ def comparison_plot(
     output_unit: str | None = None,
     detail: Any = "auto",
     heading: str,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Outputs of all models over the measured one, their errors below, and a few periods enlarged.
@@ -172,9 +185,9 @@ class Outputs:
         """Some of the samples."""
         return Outputs(self.time[part], self.measured[part], self.predicted[:, part])
 
-    def part(self, detail: Any, ax: Any) -> slice | None:
+    def part(self, detail: Any, ax: AxesGiven) -> slice | None:
         """Samples to enlarge; with axes of one's own, only if there is one for them."""
-        if detail is None or (ax is not None and np.size(ax) == 2):
+        if detail is None or (ax is not None and np.asarray(ax, object).size == 2):
             return None
         if not isinstance(detail, str):
             return self._between(detail)
@@ -236,7 +249,7 @@ def _checked(time: ArrayLike, measured: ArrayLike, predicted: ArrayLike) -> Outp
 
 
 def _drawn(
-    look: Look, ax: Any, outputs: Outputs, part: slice | None, names: Sequence[str], quantities: tuple[str, str],
+    look: Look, ax: AxesGiven, outputs: Outputs, part: slice | None, names: Sequence[str], quantities: tuple[str, str],
     time_unit: str | None, below: float,
 ) -> Picture:  # fmt: skip
     """Outputs above, the frame of their errors, and the part that is enlarged; labels and grids of all."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import control as ct
 import numpy as np
@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 
 from .. import _checks
 from .._display import counted
+from .._options import RESPONSE_INTERPOLATIONS, AxisScale, ResponseInterpolation
 from .._types import Array, ComplexArray, Indices
 from .._units import unit_for
-from ..analysis.spectral_estimate import INTERSAMPLE, hold_response, response_matrix_estimate
+from ..analysis.spectral_estimate import hold_response, response_matrix_estimate
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics.rational import poles as poles_of
@@ -36,6 +37,7 @@ from .response_picture import (
 from .style import (
     DOTS,
     ZERO,
+    AxesGiven,
     LineStyle,
     Look,
     checked_limits,
@@ -64,7 +66,8 @@ _HEIGHTS = 2.8, 5.2  # of a figure, inches
 _MARKED = 10  # decades of frequency, beyond which none is marked
 _MARK: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5.0, "markerfacecolor": "white", "zorder": 4}
 ESTIMATED = "measured (spectral estimate)"
-PARTS = {"magnitude-phase": POLAR, "real-imaginary": CARTESIAN}
+Parts = Literal["magnitude-phase", "real-imaginary"]
+PARTS: dict[Parts, tuple[str, ...]] = {"magnitude-phase": POLAR, "real-imaginary": CARTESIAN}
 MODEL_LINE: dict[str, Any] = {"color": "C0", "linewidth": 1.2, "zorder": 3}
 
 
@@ -77,15 +80,15 @@ def frf_plot(
     omega_limits: ArrayLike | None = None,
     Hz: bool | None = None,
     segments: int = 8,
-    intersample: str | None = None,
+    intersample: ResponseInterpolation | None = None,
     confidence: bool = False,
     level: float = 0.95,
     time_unit: str | None = None,
     gain_unit: str | Sequence[str] | None = None,
-    scale: str | None = None,
-    parts: str = "magnitude-phase",
+    scale: AxisScale | None = None,
+    parts: Parts = "magnitude-phase",
     negative_imaginary: bool | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Frequency responses of all inputs and outputs, with the measurement as dots beneath the model.
@@ -187,11 +190,11 @@ def nyquist_plot(
     omega_limits: ArrayLike | None = None,
     Hz: bool | None = None,
     segments: int = 8,
-    intersample: str | None = None,
+    intersample: ResponseInterpolation | None = None,
     negative_imaginary: bool | None = None,
     time_unit: str | None = None,
     gain_unit: str | Sequence[str] | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Imaginary over real part of frequency responses, with the measurement as dots beneath the model.
@@ -323,8 +326,8 @@ def _source_of_fractions(given: Any) -> ModelSource:
     def response(omega: Array) -> ComplexArray:
         s = 1j * omega[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
-            found = (1.0 / (s - poles)) @ flat + (1.0 / (s - poles[pairs].conj())) @ flat[pairs].conj()
-        return as_measured(given, found.T.reshape(*residues.shape[1:], -1) + D[:, :, None], omega)
+            values = (1.0 / (s - poles)) @ flat + (1.0 / (s - poles[pairs].conj())) @ flat[pairs].conj()
+        return as_measured(given, values.T.reshape(*residues.shape[1:], -1) + D[:, :, None], omega)
 
     names = _names_of(given, "output", len(D)), _names_of(given, "input", len(D.T))
     modes, real = int(pairs.sum()), len(poles) - int(pairs.sum())
@@ -334,12 +337,12 @@ def _source_of_fractions(given: Any) -> ModelSource:
 
 def _names_of(given: Any, kind: str, count: int) -> list[str]:
     """Names of the channels of a result, as it or its data have them."""
-    for one in (given, *measurements_of(given, None), getattr(given, "system", None)):
+    for source in (given, *measurements_of(given, None), getattr(given, "system", None)):
         for name in (f"{kind}_labels", f"{kind}_label"):
-            found = getattr(one, name, None)
-            found = [found] if isinstance(found, str) else found
-            if found is not None and len(found) == count:
-                return list(found)
+            labels = getattr(source, name, None)
+            labels = [labels] if isinstance(labels, str) else labels
+            if labels is not None and len(labels) == count:
+                return list(labels)
     return _numbered(kind, count)
 
 
@@ -357,29 +360,29 @@ def _upper(poles: Any) -> ComplexArray:
 def measured_by(model: Any, data: Any, source: ModelSource, segments: int, intersample: str | None) -> list[Curve]:
     """What was measured: responses as they are, one estimate of all recordings."""
     hold = getattr(model, "intersample", "zoh") if intersample is None else intersample
-    _checks.choice("intersample", hold, INTERSAMPLE)
+    _checks.choice("intersample", hold, RESPONSE_INTERPOLATIONS)
     _checks.whole_number("segments", segments, 1)
     responses, recordings = [], []
-    for one in measurements_of(model, data):
-        if (table := table_in(one)) is not None:
+    for measurement in measurements_of(model, data):
+        if (table := table_in(measurement)) is not None:
             _refuse_shape(table[1].shape[:2], source.shape)
             omega, values = table[0][table[0] > 0], table[1][:, :, table[0] > 0]
             responses.append(Curve("measured", omega, values, tabulated=True))
         else:
-            u, y, step = recording_in(one)
+            u, y, step = recording_in(measurement)
             u = u if len(u) else np.zeros((source.shape[1], y.shape[1]))
             _refuse_shape((len(y), len(u)), source.shape)
             recordings.append((u, y, step))
-    driven = [one for one in recordings if np.any(one[0])]
+    driven = [recording for recording in recordings if np.any(recording[0])]
     if driven:
         # a model in discrete time answers to samples, whatever is between them
         hold = hold if np.isinf(source.nyquist) else "bandlimited"
-        omega, found, coherence = response_matrix_estimate(driven, segments, hold)
+        omega, estimate, coherence = response_matrix_estimate(driven, segments, hold)
         if hold != "bandlimited" and len(omega):
-            found = found - _folded(source, omega, driven[0][2], hold)
+            estimate = estimate - _folded(source, omega, driven[0][2], hold)
         driven = driven if len(omega) else []
     if driven:
-        responses.append(Curve(ESTIMATED, omega, found, doubtful=coherence < 0.5, tabulated=True))
+        responses.append(Curve(ESTIMATED, omega, estimate, doubtful=coherence < 0.5, tabulated=True))
     elif recordings and data is not None:
         raise StructureError(
             "the recordings are free motions, or their inputs are constant, and show no frequency response; "
@@ -404,11 +407,11 @@ def _folded(source: ModelSource, omega: Array, step: float, hold: str) -> Comple
     return np.asarray((held.sum(axis=2) + through * (1.0 - own)) / own)
 
 
-def _refuse_shape(found: tuple[int, ...], shape: tuple[int, int]) -> None:
-    if tuple(found) != tuple(shape):
+def _refuse_shape(measured: tuple[int, ...], shape: tuple[int, int]) -> None:
+    if tuple(measured) != tuple(shape):
         raise StructureError(
-            f"the data have {found[0]} outputs and {found[1]} inputs, the model {shape[0]} and {shape[1]}; select the "
-            "same ones"
+            f"the data have {measured[0]} outputs and {measured[1]} inputs, the model {shape[0]} and {shape[1]}; "
+            "select the same ones"
         )
 
 
@@ -447,8 +450,8 @@ def frf_data(
     bands = _bands(model, omega, level, rows, columns) if confidence else {}
     curve = Curve(source.label, omega, response(omega), sharp, bands=bands)
     measured = [
-        replace(one, response=one.response[chosen], doubtful=None if one.doubtful is None else one.doubtful[rows])
-        for one in measured
+        replace(dots, response=dots.response[chosen], doubtful=None if dots.doubtful is None else dots.doubtful[rows])
+        for dots in measured
     ]
     parts = [
         text for text in (_share("outputs", rows, source.shape[0]), _share("inputs", columns, source.shape[1])) if text
@@ -468,12 +471,12 @@ def gain_units(
     """Unit of the responses of each output: as given, or as the names of the first of model and measurements tell."""
     if given is not None:
         return [given] * len(rows) if isinstance(given, str) else [*_checks.labels(given, len(rows), "outputs")]
-    for one in sources:
-        outputs, inputs = (getattr(one, name, None) or () for name in ("output_labels", "input_labels"))
+    for source in sources:
+        outputs, inputs = (getattr(source, name, None) or () for name in ("output_labels", "input_labels"))
         if (len(outputs), len(inputs)) == shape:
-            told = told_gain_units([outputs[i] for i in rows], [inputs[j] for j in columns])
-            if None not in told:
-                return list(told)
+            units = told_gain_units([outputs[i] for i in rows], [inputs[j] for j in columns])
+            if None not in units:
+                return list(units)
     return [None] * len(rows)
 
 
@@ -500,15 +503,15 @@ def chosen_channels(what: str, given: Any, names: Sequence[str], most: int | Non
     known = f"there are {len(names)}: {', '.join(names[:6])}{', ..' * (len(names) > 6)}"
     if not listed:
         raise StructureError(f"{what} is empty; {known}")
-    found = []
-    for one in listed:
-        if isinstance(one, str) and one in names:
-            found.append(list(names).index(one))
-        elif _checks.is_whole(one) and -len(names) <= one < len(names):
-            found.append(int(one) % len(names))
+    numbers = []
+    for channel in listed:
+        if isinstance(channel, str) and channel in names:
+            numbers.append(list(names).index(channel))
+        elif _checks.is_whole(channel) and -len(names) <= channel < len(names):
+            numbers.append(int(channel) % len(names))
         else:
-            raise StructureError(f"{what} has {_checks.shown(one)}; {known}, counted from 0")
-    return np.array(found, np.intp)
+            raise StructureError(f"{what} has {_checks.shown(channel)}; {known}, counted from 0")
+    return np.array(numbers, np.intp)
 
 
 def _share(what: str, chosen: Indices, count: int) -> str:
@@ -525,20 +528,20 @@ def _limits(source: ModelSource, measured: list[Curve], given: Any, unit: float)
     if given is not None:
         low, high = checked_limits(given)
         return low * unit, high * unit
-    tables = [one.omega for one in measured if one.label != ESTIMATED and len(one.omega)]
+    tables = [curve.omega for curve in measured if curve.label != ESTIMATED and len(curve.omega)]
     d = np.abs(source.poles) if len(source.poles) else np.ones(1)
     low, high = 0.5 * d[0], (1.25 if d[-1] <= _DECADES * d[0] else 2.0) * d[-1]
     if not np.any(source.poles.imag):  # corners are seen from a decade below to a decade above
         low, high = 0.1 * d[0], 10.0 * d[-1]
-    recorded = [one.omega for one in measured if len(one.omega)]
+    recorded = [curve.omega for curve in measured if len(curve.omega)]
     if tables:
-        low, high = min(one[0] for one in tables), max(one[-1] for one in tables)
+        low, high = min(curve[0] for curve in tables), max(curve[-1] for curve in tables)
     elif recorded:
-        first = min(one[0] for one in recorded)
+        first = min(curve[0] for curve in recorded)
         # below what was measured a lag is seen to be level
         low, high = (
             max(low, first if np.any(source.poles.imag) else 0.2 * first),
-            min(high, max(one[-1] for one in recorded)),
+            min(high, max(curve[-1] for curve in recorded)),
         )
     high = min(high, source.nyquist)
     return (float(low), float(high)) if low < high else (0.5 * float(high), float(high))
@@ -558,7 +561,7 @@ def _grid(source: ModelSource, axis: FrequencyAxis, response: Callable[[Array], 
     share = np.linspace(0.0, 1.0, _NOTCH + 2)[1:-1]
     notches = [grid[k + s] + share[:, None] * (grid[k + s + 1] - grid[k + s]) for s in (-1, 0)]
     # a sample on a pole of the axis is infinite
-    grid = np.setdiff1d(np.concatenate([grid, *(one.ravel() for one in notches)]), p.imag[p.real == 0])
+    grid = np.setdiff1d(np.concatenate([grid, *(notch.ravel() for notch in notches)]), p.imag[p.real == 0])
     return grid, np.unique(p.imag[width <= NARROWEST * np.abs(p)])
 
 
@@ -602,11 +605,11 @@ def _draw_curve(axis: Axes, numbers: DrawnResponses, i: int, j: int, look: Look,
         x, y = np.where(seen, x, np.nan), np.where(seen, y, np.nan)
         lines += axis.plot(x, y, label=plain(curve.label), **look.curve(k))
         _mark_decades(axis, numbers.axis, curve.omega, x, y, lines[-1].get_color())
-    for one, x, y in zip(numbers.measured, real_dots, imaginary_dots, strict=True):
-        seen = (one.omega >= numbers.axis.low) & (one.omega <= numbers.axis.high) & ~one.noisy(i)
-        lines += axis.plot(x[seen], y[seen], label=plain(one.label), rasterized=True, **{**DOTS, "markersize": 5.0})
+    for curve, x, y in zip(numbers.measured, real_dots, imaginary_dots, strict=True):
+        seen = (curve.omega >= numbers.axis.low) & (curve.omega <= numbers.axis.high) & ~curve.noisy(i)
+        lines += axis.plot(x[seen], y[seen], label=plain(curve.label), rasterized=True, **{**DOTS, "markersize": 5.0})
         if not numbers.curves:
-            _mark_decades(axis, numbers.axis, one.omega, x, y, lines[-1].get_color())
+            _mark_decades(axis, numbers.axis, curve.omega, x, y, lines[-1].get_color())
     axis.set_aspect("equal", adjustable="datalim")
     axis.margins(0.1)
     look.lattice(axis)
@@ -632,9 +635,9 @@ def _mark_decades(axis: Axes, frequency: FrequencyAxis, omega: Array, x: Array, 
     # where rings crowd, as at both ends of a curve, only the first of them is named
     reach = max(np.nanmax(x) - np.nanmin(x), np.nanmax(y) - np.nanmin(y)) or 1.0
     last = None
-    for power, at, height in zip(powers, *place, strict=True):
-        if np.isfinite(at + height) and (last is None or np.hypot(at - last[0], height - last[1]) > 0.1 * reach):
-            last = (at, height)
+    for power, across, up in zip(powers, *place, strict=True):
+        if np.isfinite(across + up) and (last is None or np.hypot(across - last[0], up - last[1]) > 0.1 * reach):
+            last = (across, up)
             axis.annotate(
                 f"{power:g} {frequency.unit_name}", last, (5, 5), textcoords="offset points", fontsize="x-small",
                 color="0.35",

@@ -67,35 +67,36 @@ def as_measured(given: Any, response: ComplexArray, omega: Array) -> ComplexArra
 def measurements_of(model: Any, data: Any) -> list[Any]:
     """Measurements that were given, or else those that a result was fitted to."""
     if data is None:
-        return [getattr(one, "record", one) for one in getattr(model, "experiments", ())]
+        return [getattr(experiment, "record", experiment) for experiment in getattr(model, "experiments", ())]
     return as_list(data)
 
 
-def table_in(one: Any) -> tuple[Array, ComplexArray] | None:
+def table_in(measurement: Any) -> tuple[Array, ComplexArray] | None:
     """Frequencies and response (p, m, K) of a measurement over frequency; None of others."""
-    if not (hasattr(one, "omega") and (hasattr(one, "frdata") or hasattr(one, "response"))):
+    if not (hasattr(measurement, "omega") and (hasattr(measurement, "frdata") or hasattr(measurement, "response"))):
         return None
-    response = np.asarray(one.frdata if hasattr(one, "frdata") else one.response, complex)
-    return np.asarray(one.omega, float), response[None, None] if response.ndim == 1 else response
+    response = np.asarray(measurement.frdata if hasattr(measurement, "frdata") else measurement.response, complex)
+    return np.asarray(measurement.omega, float), response[None, None] if response.ndim == 1 else response
 
 
-def recording_in(one: Any) -> tuple[Array, Array, float]:
+def recording_in(measurement: Any) -> tuple[Array, Array, float]:
     """Inputs (m, N), none of a free motion, outputs (p, N) and time step of a recording."""
-    if not (isinstance(one, ct.TimeResponseData) or all(hasattr(one, name) for name in ("u", "y", "dt"))):
+    recorded = all(hasattr(measurement, name) for name in ("u", "y", "dt"))
+    if not (isinstance(measurement, ct.TimeResponseData) or recorded):
         raise StructureError(
-            f"data hold a {type(one).__name__}; pass control.FrequencyResponseData, control.TimeResponseData, or a "
-            "list of them"
+            f"data hold a {type(measurement).__name__}; pass control.FrequencyResponseData, control.TimeResponseData, "
+            "or a list of them"
         )
-    step = _checks.time_vector(one.t)[1] if isinstance(one, ct.TimeResponseData) else one.dt
-    y = np.asarray(one.y, float)
-    u = np.zeros(0) if one.u is None else np.asarray(one.u, float)
+    step = _checks.time_vector(measurement.t)[1] if isinstance(measurement, ct.TimeResponseData) else measurement.dt
+    y = np.asarray(measurement.y, float)
+    u = np.zeros(0) if measurement.u is None else np.asarray(measurement.u, float)
     return u.reshape(-1, y.shape[-1]), y.reshape(-1, y.shape[-1]), float(step)
 
 
 def subjects_of(sysdata: Any, label: str | Sequence[str] | None, *, tabulated: bool = False) -> list[Subject]:
     """Systems of one number of ports; of fits their models, and frequency responses where `tabulated` allows them."""
     given = as_list(sysdata, "systems")
-    systems = [_inside(one) for one in given]
+    systems = [_inside(thing) for thing in given]
     kinds = (ct.StateSpace, ct.TransferFunction, *([ct.FrequencyResponseData] if tabulated else []))
     for sys in systems:
         if not isinstance(sys, kinds):
@@ -108,7 +109,7 @@ def subjects_of(sysdata: Any, label: str | Sequence[str] | None, *, tabulated: b
     if len(set(shapes)) > 1:
         raise StructureError(f"the systems differ in (outputs, inputs): {shapes}; draw them in pictures of their own")
     labels = _names(given, systems) if label is None else _checks.labels(label, len(systems), "systems")
-    return [Subject(*one) for one in zip(given, systems, labels, strict=True)]
+    return [Subject(*parts) for parts in zip(given, systems, labels, strict=True)]
 
 
 def _inside(given: Any) -> Any:
@@ -125,8 +126,8 @@ def _inside(given: Any) -> Any:
 def _names(given: list[Any], systems: list[Any]) -> list[str]:
     """Names of systems, all different; a fit is called one, unless its system was named."""
     names = [
-        given_name(sys) or (f"fit ({counted(one.order, 'mode')})" if is_fit(one) else _kind(sys))
-        for one, sys in zip(given, systems, strict=True)
+        given_name(sys) or (f"fit ({counted(source.order, 'mode')})" if is_fit(source) else _kind(sys))
+        for source, sys in zip(given, systems, strict=True)
     ]
     # a system has the name of what it was sampled, reduced or drawn from
     names = [
@@ -163,7 +164,7 @@ def timebase(sys: Any) -> float:
 
 def title_of(kind: str, subjects: list[Subject], relabelled: bool) -> str:
     """Title of a picture, with the names of its systems where they are few and have some."""
-    names = [] if relabelled else [given_name(one.system) for one in subjects]
+    names = [] if relabelled else [given_name(subject.system) for subject in subjects]
     named = [name for name in names if name]
     title = f"{kind} of " + ", ".join(dict.fromkeys(named))
     return title if 0 < len(named) == len(subjects) <= 3 and len(title) <= _TITLE else kind
@@ -176,7 +177,7 @@ def models_around(confidence: Any, subjects: list[Subject], *bands: str) -> list
     """
     given = as_list(confidence)
     if confidence is True:
-        given = [one.given if is_fit(one.given) else None for one in subjects]
+        given = [subject.given if is_fit(subject.given) else None for subject in subjects]
         if not any(given):
             raise StructureError(
                 "confidence is True, but none of the systems is the result of a fit; pass what pem gives, "
@@ -190,8 +191,8 @@ def models_around(confidence: Any, subjects: list[Subject], *bands: str) -> list
             "without"
         )
     return [
-        None if one is None else _models(one, subject.system, bands)
-        for one, subject in zip(given, subjects, strict=True)
+        None if source is None else _models(source, subject.system, bands)
+        for source, subject in zip(given, subjects, strict=True)
     ]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import control as ct
 import numpy as np
@@ -20,7 +20,9 @@ from ..modal.general_form import invariant_zeros
 from ..numerics.rational import poles as poles_of
 from ..systems.port_hamiltonian import modes as modes_of
 from .inputs import Subject, is_fit, subjects_of, title_of
-from .style import LineStyle, Look, MarkStyle, Picture, frequency_axis, labelled, picture, plain
+from .style import AxesGiven, LineStyle, Look, MarkStyle, Picture, frequency_axis, labelled, picture, plain
+
+WeightKind = Literal["kappa", "r"]
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -49,13 +51,13 @@ _AXIS: dict[str, Any] = {"color": "0.4", "linewidth": 0.8, "zorder": 1}
 def modes_plot(
     sysdata: Any,
     *,
-    quantity: str = "kappa",
+    quantity: WeightKind = "kappa",
     level: float = 0.95,
     Hz: bool = False,
     time_unit: str | None = None,
     gain_unit: str | None = None,
     label: str | Sequence[str] | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Modes: a stem at each natural frequency, as high as its weight; with losses also the damping ratios.
@@ -122,9 +124,9 @@ def modes_plot(
     """
     time_unit = unit_for(time_unit, sysdata)
     unit, unit_name = frequency_axis(Hz, time_unit)
-    _checks.choice("quantity", quantity, ("kappa", "r"))
+    _checks.choice("quantity", quantity, get_args(WeightKind))
     subjects = subjects_of(sysdata, label)
-    tables = [mode_table(one, quantity, level) for one in subjects]
+    tables = [mode_table(subject, quantity, level) for subject in subjects]
     system = subjects[0].system
     ports = system.output_labels[: system.ninputs]
     lossy = any(table.damping is not None for table in tables)
@@ -276,7 +278,7 @@ def _draw_damping(axis: Axes, tables: list[ModeTable], unit: float, look: Look) 
     """Damping ratios of all systems over frequency; those of lossless ones are 0."""
     from_zero = any((table.at_zero > 0).any() for table in tables)
     _frequency_scale(axis, np.concatenate([table.d for table in tables]) / unit, from_zero)
-    lines, ratios = [], [np.zeros(len(one.d)) if one.damping is None else one.damping for one in tables]
+    lines, ratios = [], [np.zeros(len(table.d)) if table.damping is None else table.damping for table in tables]
     for k, (table, zeta) in enumerate(zip(tables, ratios, strict=True)):
         style = {"color": f"C{k}", **look.line}
         axis.vlines(table.d / unit, 0.0, zeta, zorder=2, linewidth=1.2, color=style["color"])
@@ -303,7 +305,7 @@ def pole_zero_plot(
     Hz: bool = False,
     time_unit: str | None = None,
     label: str | Sequence[str] | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[MarkStyle],
 ) -> ct.ControlPlot:
     """Poles and zeros; those of lossless systems along the imaginary axis, where they alternate.
@@ -355,12 +357,12 @@ def pole_zero_plot(
     """
     unit, unit_name = frequency_axis(Hz, unit_for(time_unit, sysdata))
     subjects = subjects_of(sysdata, label)
-    if len({one.system.isdtime(strict=True) for one in subjects}) > 1:
+    if len({subject.system.isdtime(strict=True) for subject in subjects}) > 1:
         raise StructureError("continuous-time and discrete-time poles are in different planes; draw them apart")
-    maps = [pole_zero_map(one) for one in subjects]
+    maps = [pole_zero_map(subject) for subject in subjects]
     look = Look.of(style, MarkStyle)
     with look.context():
-        if all(one.on_axis for one in maps):
+        if all(chart.on_axis for chart in maps):
             drawn = _draw_strips(ax, maps, unit, unit_name, look)
         else:
             drawn = picture(look, ax, (1, 1), (5.6, 4.8))
@@ -427,12 +429,12 @@ def pole_zero_map(subject: Subject) -> PoleZeroMap:
 
 def strips(maps: Sequence[PoleZeroMap], count: int | None = None) -> list[tuple[float, float]]:
     """Frequency ranges that hold equally many poles each, few enough to be told apart; `count` of them if given."""
-    poles = np.sort(np.concatenate([one.upper[0] for one in maps]))
-    marks = np.sort(np.concatenate([poles, *(one.upper[1] for one in maps)]))
+    poles = np.sort(np.concatenate([chart.upper[0] for chart in maps]))
+    marks = np.sort(np.concatenate([poles, *(chart.upper[1] for chart in maps)]))
     if not len(marks):
         return [(0.0, 1.0)] * (count or 1)
     if count is None:
-        count = min(max(1, -(-max(len(one.upper[0]) for one in maps) // _POLES_IN_STRIP)), _STRIPS)
+        count = min(max(1, -(-max(len(chart.upper[0]) for chart in maps) // _POLES_IN_STRIP)), _STRIPS)
     low, high = float(marks[0]), float(marks[-1])
     # from 0 on, unless all are far from it
     inner = [low if low > 0.3 * high else 0.0, *_cuts(marks, poles, count), high]
@@ -454,16 +456,17 @@ def _cuts(marks: Array, poles: Array, count: int) -> list[float]:
     return sorted(set(cuts))
 
 
-def _draw_strips(ax: Any, maps: list[PoleZeroMap], unit: float, unit_name: str, look: Look) -> Picture:
-    ranges = strips(maps, None if ax is None else max(1, int(np.size(ax))))
-    if ax is not None and np.size(ax) > len(ranges):
-        raise StructureError(f"ax has {np.size(ax)} axes, but there are poles for {len(ranges)} only; pass as many")
+def _draw_strips(ax: AxesGiven, maps: list[PoleZeroMap], unit: float, unit_name: str, look: Look) -> Picture:
+    given = None if ax is None else np.asarray(ax, object).size
+    ranges = strips(maps, None if given is None else max(1, given))
+    if given is not None and given > len(ranges):
+        raise StructureError(f"ax has {given} axes, but there are poles for {len(ranges)} only; pass as many")
     height = 0.55 + (0.35 if len(maps) == 1 else 0.45) * len(maps)
     drawn = picture(look, ax, (len(ranges), 1), (7.2, 1.0 + len(ranges) * height))
     for row, (axis, (low, high)) in enumerate(zip(drawn.axes[:, 0], ranges, strict=True)):
         drawn.lines[row, 0] = []
-        for k, one in enumerate(maps):
-            drawn.lines[row, 0] += _draw_row(axis, one, -k, low, high, unit, look.line, len(maps) > 1)
+        for k, chart in enumerate(maps):
+            drawn.lines[row, 0] += _draw_row(axis, chart, -k, (low, high), unit, look.line, len(maps) > 1)
         _strip_axis(axis, maps, low / unit, high / unit, drawn.lines[row, 0])
         if look.grid:
             axis.grid(True, axis="x", linewidth=0.5, alpha=0.6)
@@ -472,11 +475,18 @@ def _draw_strips(ax: Any, maps: list[PoleZeroMap], unit: float, unit_name: str, 
 
 
 def _draw_row(
-    axis: Axes, one: PoleZeroMap, height: int, low: float, high: float, unit: float, line: dict[str, Any], named: bool
+    axis: Axes,
+    chart: PoleZeroMap,
+    height: int,
+    ends: tuple[float, float],
+    unit: float,
+    line: dict[str, Any],
+    named: bool,
 ) -> list[Any]:
     axis.axhline(height, **_AXIS)
-    poles, zeros = (w[(w >= low) & (w < high)] / unit for w in one.upper)
-    labels = one.counts
+    low, high = ends
+    poles, zeros = (w[(w >= low) & (w < high)] / unit for w in chart.upper)
+    labels = chart.counts
     if named:
         corner: dict[str, Any] = {"ha": "right", "va": "bottom", "fontsize": "x-small", "color": "0.35"}
         axis.text(1.0, height + 0.16, ", ".join(labels), transform=axis.get_yaxis_transform(), **corner)
@@ -510,7 +520,7 @@ def _strip_axis(axis: Axes, maps: list[PoleZeroMap], low: float, high: float, li
         axis.set_xlim(low, high)
     axis.set_ylim(-len(maps) + 0.35, 0.65)
     several = len(maps) > 1
-    axis.set_yticks(-np.arange(len(maps)) if several else [], [plain(one.label) for one in maps] if several else [])
+    axis.set_yticks(-np.arange(len(maps)) if several else [], [plain(chart.label) for chart in maps] if several else [])
     axis.spines[["left", "right", "top"]].set_visible(False)
 
 
@@ -524,10 +534,10 @@ def _draw_plane(axis: Axes, maps: list[PoleZeroMap], unit: float, unit_name: str
         angle = np.linspace(0.0, 2 * np.pi, 361)
         axis.plot(np.cos(angle), np.sin(angle), label="_", **_AXIS)
         axis.set_aspect("equal")
-    for k, one in enumerate(maps):
-        for points, what, style in ((one.poles, "poles", _POLE), (one.zeros, "zeros", _ZERO)):
+    for k, chart in enumerate(maps):
+        for points, what, style in ((chart.poles, "poles", _POLE), (chart.zeros, "zeros", _ZERO)):
             shown = points[np.isfinite(points)] / scale
-            label = f"{one.label}: {what}" if len(maps) > 1 else what
+            label = f"{chart.label}: {what}" if len(maps) > 1 else what
             properties = {"color": f"C{k}", **look.line, **style}
             lines += axis.plot(shown.real, shown.imag, label=plain(label), **properties)
     axis.margins(0.08)

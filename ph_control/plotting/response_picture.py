@@ -11,9 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from .. import _checks
+from .._options import AXIS_SCALES
 from .._types import Array, ComplexArray, Indices, Mask
 from .._units import parted
-from .style import BAND, DOTS, ZERO, Look, Picture, PlainLogFormatter, gain_label, labelled, picture, plain
+from .style import BAND, DOTS, ZERO, AxesGiven, Look, Picture, PlainLogFormatter, gain_label, labelled, picture, plain
 
 _SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
 _DOT = 1 / 1200  # of the width of a picture
@@ -78,7 +79,7 @@ def is_logarithmic(
     Not so where the modes are all in the upper part of an evenly spaced grid; of a plant without modes always.
     """
     if scale is not None:
-        return _checks.choice("scale", scale, ("log", "linear")) == "log"
+        return _checks.choice("scale", scale, AXIS_SCALES) == "log"
     if modes is not None and not len(modes):
         return 0 < low < high / _NARROW
     grid = np.zeros(0) if grid is None else grid[grid > 0]
@@ -214,8 +215,8 @@ class Curve:
             kept = kept[(kept >= bottom - _LONE) & (kept <= top + _LONE)]
         elif len(kept):
             omega = self.omega[known]
-            at = np.searchsorted(omega, axis.places(float(omega[0]), float(omega[-1]), _EVEN)[:-1])
-            kept = kept[kept >= np.quantile(kept[at], 0.02) - _NOTCH]
+            spread = np.searchsorted(omega, axis.places(float(omega[0]), float(omega[-1]), _EVEN)[:-1])
+            kept = kept[kept >= np.quantile(kept[spread], 0.02) - _NOTCH]
         if (i, j) in self.bands:
             # beyond nine tenths of it the band may run off as its curve does: next to a resonance it is as high
             band = self.bands[i, j]
@@ -369,8 +370,9 @@ class DrawnResponses:
         elif part == "phase":
             drawn = [scale.angle * curve.phase(i, j, unwrap=not scale.wrap) for curve in self.curves]
             drawn += [
-                scale.angle * (one.phase(i, j, unwrap=False) if scale.wrap else one.phase_beside(i, j, self.curves[0]))
-                for one in self.measured
+                scale.angle
+                * (dots.phase(i, j, unwrap=False) if scale.wrap else dots.phase_beside(i, j, self.curves[0]))
+                for dots in self.measured
             ]
         elif part == "real":
             drawn = [curve.response[i, j].real for curve in every]
@@ -380,8 +382,8 @@ class DrawnResponses:
 
 
 def draw_responses(
-    responses: DrawnResponses, look: Look, ax: Any, parts: Sequence[str], scale: Scale, units: Sequence[str | None],
-    wide: int = 1, meaning: str = "",
+    responses: DrawnResponses, look: Look, ax: AxesGiven, parts: Sequence[str], scale: Scale,
+    units: Sequence[str | None], wide: int = 1, meaning: str = "",
 ) -> Picture:  # fmt: skip
     """Panels of all entries, the parts of each below one another; a unit for each output."""
     cells, (rows, columns) = responses.cells(wide if ax is None else 1)
@@ -472,17 +474,17 @@ def _draw_curves(
 
 def _draw_dots(axis: Axes, responses: DrawnResponses, dots: list[Array], i: int) -> list[Any]:
     lines, named = [], set()
-    for one, value in zip(responses.measured, dots, strict=True):
-        inside = (one.omega >= responses.axis.low) & (one.omega <= responses.axis.high) & np.isfinite(value)
-        noisy = one.noisy(i)
+    for curve, value in zip(responses.measured, dots, strict=True):
+        inside = (curve.omega >= responses.axis.low) & (curve.omega <= responses.axis.high) & np.isfinite(value)
+        noisy = curve.noisy(i)
         for which, style, label in (
-            (inside & ~noisy, DOTS, one.label), (inside & noisy, PALE_DOTS, "coherence below 0.5")
+            (inside & ~noisy, DOTS, curve.label), (inside & noisy, PALE_DOTS, "coherence below 0.5")
         ):  # fmt: skip
             if which.any():
                 once = "_" if label in named else plain(label)
                 named.add(label)
-                at = one.omega[which] / responses.axis.unit
-                lines += axis.plot(at, value[which], label=once, rasterized=True, **style | dict(one.line))
+                places = curve.omega[which] / responses.axis.unit
+                lines += axis.plot(places, value[which], label=once, rasterized=True, **style | dict(curve.line))
     return lines
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import control as ct
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from .. import _checks
+from .._options import ResponseInterpolation
 from .._types import Array, ComplexArray, Indices
 from .._units import DERIVATIVES, parted, unit_for
 from ..exceptions import StructureError
@@ -30,6 +31,7 @@ from .response_picture import Curve
 from .style import (
     DOTS,
     ZERO,
+    AxesGiven,
     FrameStyle,
     LineStyle,
     Look,
@@ -40,6 +42,8 @@ from .style import (
     plain,
     told_gain_units,
 )
+
+Direction = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -59,7 +63,7 @@ def shape_plot(
     shapes: Any,
     positions: ArrayLike | None = None,
     *,
-    directions: str | Sequence[Any] | None = None,
+    directions: Direction | Sequence[Any] | None = None,
     nodes: ArrayLike | None = None,
     lines: ArrayLike | None = None,
     modes: Sequence[int] | None = None,
@@ -69,7 +73,7 @@ def shape_plot(
     position_label: str | None = None,
     position_unit: str | None = None,
     shape_unit: str | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Mode shapes over the positions of the sensors, a panel for each mode.
@@ -179,7 +183,7 @@ def mac_plot(
     *,
     label: Sequence[str] | None = None,
     time_unit: str | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Modal assurance criterion of all pairs of mode shapes, as a matrix of grey cells.
@@ -260,10 +264,10 @@ def circle_plot(
     input: int | str | None = None,
     Hz: bool | None = None,
     segments: int = 8,
-    intersample: str | None = None,
+    intersample: ResponseInterpolation | None = None,
     time_unit: str | None = None,
     gain_unit: str | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Nyquist curves of the model near each resonance, with the measured points there.
@@ -314,19 +318,20 @@ def circle_plot(
     measured = measured_by(model, data, source, segments, intersample)
     unit, unit_name = frequency_axis(Hz, unit_for(time_unit, model, data))
     look = Look.of(style)
-    found = [mode_circle(source, measured, l, output, input) for l in _modes_to_draw(modes, source)]
+    circles = [mode_circle(source, measured, l, output, input) for l in _modes_to_draw(modes, source)]
     with look.context():
-        drawn = panels(look, ax, len(found), (3.0, 3.0))
-        for k, one in enumerate(found):
+        drawn = panels(look, ax, len(circles), (3.0, 3.0))
+        for k, circle in enumerate(circles):
             axis = drawn.axes.flat[k]
-            drawn.lines.flat[k] = _draw_circle(axis, one, look)
-            size = one.natural_frequency / unit
-            axis.set_title(f"{size:.4g} {unit_name}, {100 * one.damping_ratio:.2f} %", loc="left")
+            drawn.lines.flat[k] = _draw_circle(axis, circle, look)
+            size = circle.natural_frequency / unit
+            axis.set_title(f"{size:.4g} {unit_name}, {100 * circle.damping_ratio:.2f} %", loc="left")
             if source.shape != (1, 1):
-                name = plain(f"{one.input_label} to {one.output_label}")
+                name = plain(f"{circle.input_label} to {circle.output_label}")
                 axis.text(0.03, 0.03, name, transform=axis.transAxes, fontsize="x-small", color="0.35")
-            told = told_gain_units([one.output_label], [one.input_label])[0] if gain_unit is None else gain_unit
-            axis.set(xlabel=labelled("Real part", told), ylabel=labelled("Imaginary part", told))
+            channels = [circle.output_label], [circle.input_label]
+            unit_shown = told_gain_units(*channels)[0] if gain_unit is None else gain_unit
+            axis.set(xlabel=labelled("Real part", unit_shown), ylabel=labelled("Imaginary part", unit_shown))
         return drawn.finished("Nyquist curve at each resonance", drawn.legend_of_all())
 
 
@@ -358,8 +363,8 @@ def shape_table(
     """Numbers of `shape_plot` and `mac_plot`: those of a result or a modal form, or an array and its poles."""
     _checks.level("level", level)
     source = getattr(given, "modes", given) if not hasattr(given, "shapes") else given
-    found = getattr(source, "shapes", given)
-    c, places, names = _checked_shapes(found), "Sensor", "output_labels"
+    shapes_given = getattr(source, "shapes", given)
+    c, places, names = _checked_shapes(shapes_given), "Sensor", "output_labels"
     moved = over_inputs(given)
     if moved is not None:
         c, places, names = moved, "Input", "input_labels"
@@ -379,11 +384,11 @@ def shape_table(
         errors = np.asarray(errors, complex)
         reach = float(ndtri(0.5 + 0.5 * level)) * np.hypot(turn.real * errors.real, turn.imag * errors.imag)
     numbers = [str(k + 1) for k in range(len(c))]
-    titles, ticks, name = [f"Mode {one}" for one in numbers], numbers, None
+    titles, ticks, name = [f"Mode {number}" for number in numbers], numbers, None
     if d is not None:
         size, name = frequency_axis(None, unit)
-        ticks = [f"{one / size:.4g}" for one in d]
-        ratios = [""] * len(c) if zeta is None else [f", {100 * one:.2f} %" for one in zeta]
+        ticks = [f"{frequency / size:.4g}" for frequency in d]
+        ratios = [""] * len(c) if zeta is None else [f", {100 * ratio:.2f} %" for ratio in zeta]
         titles = [f"{tick} {name}{ratio}" for tick, ratio in zip(ticks, ratios, strict=True)]
     labels = getattr(given, names, None)
     labels = list(labels) if labels is not None and len(labels) == c.shape[1] else None
@@ -400,12 +405,12 @@ def over_inputs(given: Any) -> ComplexArray | None:
     return np.asarray(b * (2j * p.imag / p ** DERIVATIVES[quantities[0]])[:, None])
 
 
-def _checked_shapes(found: Any) -> ComplexArray:
+def _checked_shapes(given: Any) -> ComplexArray:
     try:
-        c = np.array(found, dtype=complex)
+        c = np.array(given, dtype=complex)
     except (TypeError, ValueError, OverflowError):
         raise StructureError(
-            f"shapes are a {type(found).__name__}; pass a result, a modal form, or an array of shapes (modes, sensors)"
+            f"shapes are a {type(given).__name__}; pass a result, a modal form, or an array of shapes (modes, sensors)"
         ) from None
     if c.ndim != 2 or not c.size:
         raise StructureError(f"shapes have shape {c.shape}; expected (modes, sensors), one of each at least")
@@ -417,14 +422,14 @@ def _places(positions: Any, sensors: int) -> Array:
     """Positions (p, 1), (p, 2) or (p, 3); by default the numbers of the sensors from 1 on."""
     if positions is None:
         return np.arange(1.0, sensors + 1.0)[:, None]
-    found = _checks.real_array("positions", positions)
-    found = found[:, None] if found.ndim == 1 else found
-    if found.ndim != 2 or len(found) != sensors or not 1 <= found.shape[1] <= 3:
+    places = _checks.real_array("positions", positions)
+    places = places[:, None] if places.ndim == 1 else places
+    if places.ndim != 2 or len(places) != sensors or not 1 <= places.shape[1] <= 3:
         raise StructureError(
             f"positions have shape {np.shape(positions)}; those of {sensors} sensors have ({sensors},), ({sensors}, 2) "
             f"or ({sensors}, 3)"
         )
-    return found
+    return places
 
 
 def _share_of(chosen: Indices, count: int) -> str:
@@ -468,20 +473,20 @@ def wire_frame(places: Array, directions: Any, nodes: Any, lines: Any) -> WireFr
         raise StructureError(f"nodes have shape {points.shape}; with these positions they have (k, {places.shape[1]})")
     pairs = _checked_lines(lines, len(points))
     if places.shape[1] == 2 and directions is None:  # across the plane
-        places, points = (np.column_stack([one, np.zeros(len(one))]) for one in (places, points))
+        places, points = (np.column_stack([plane, np.zeros(len(plane))]) for plane in (places, points))
         directions = "z"
     ways = _checked_directions(directions, *places.shape)
     far = np.linalg.norm(places[:, None] - points, axis=2)
-    at, size = far.argmin(axis=1), float(np.ptp(points, axis=0).max())
+    nearest, size = far.argmin(axis=1), float(np.ptp(points, axis=0).max())
     lost = np.flatnonzero(far.min(axis=1) > _AT_NODE * size)
     if len(lost):
         raise StructureError(
             f"sensor {lost[0]}, counted from 0, at {places[lost[0]].tolist()} is at no node; the nearest is "
-            f"{points[at[lost[0]]].tolist()}"
+            f"{points[nearest[lost[0]]].tolist()}"
         )
     motion = np.zeros((*points.shape, len(places)))
-    for node in np.unique(at):
-        sensors = np.flatnonzero(at == node)
+    for node in np.unique(nearest):
+        sensors = np.flatnonzero(nearest == node)
         # directions need not be orthogonal
         motion[node][:, sensors] = np.linalg.pinv(ways[sensors])
     return WireFrame(points, pairs, motion)
@@ -490,10 +495,10 @@ def wire_frame(places: Array, directions: Any, nodes: Any, lines: Any) -> WireFr
 def _checked_lines(lines: Any, count: int) -> Indices:
     if lines is None:
         return np.zeros((0, 2), np.intp)
-    found = _checks.real_array("lines", lines, 2)
-    if found.shape[1] != 2 or (found != np.round(found)).any() or (found < 0).any() or (found >= count).any():
-        raise StructureError(f"lines are {_checks.shown(found)}; give pairs of nodes, from 0 to {count - 1}")
-    return found.astype(np.intp)
+    pairs = _checks.real_array("lines", lines, 2)
+    if pairs.shape[1] != 2 or (pairs != np.round(pairs)).any() or (pairs < 0).any() or (pairs >= count).any():
+        raise StructureError(f"lines are {_checks.shown(pairs)}; give pairs of nodes, from 0 to {count - 1}")
+    return pairs.astype(np.intp)
 
 
 def _checked_directions(given: Any, sensors: int, dimensions: int) -> Array:
@@ -548,7 +553,7 @@ def mode_circle(source: ModelSource, measured: list[Curve], mode: int, output: A
     omega = omega[(omega > 0) & (omega <= source.nyquist)]
     every = source.response(omega)
     i, j = _entry(every, output, input, source)
-    near = [one.response[i, j, np.abs(one.omega - p.imag) <= _CIRCLE * width] for one in measured]
+    near = [curve.response[i, j, np.abs(curve.omega - p.imag) <= _CIRCLE * width] for curve in measured]
     dots = np.concatenate([np.zeros(0, complex), *near])
     return ModeCircle(
         d, -float(p.real) / d, every[i, j], complex(source.response(np.array([p.imag]))[i, j, 0]),
@@ -570,10 +575,10 @@ def _modes_to_draw(given: Any, source: ModelSource) -> Indices:
     p = source.poles
     if given is not None:
         return chosen_channels("modes", given, [f"mode {k}" for k in range(len(p))])
-    found = np.flatnonzero((p.imag > 0) & (np.abs(p.real) > NARROWEST * np.abs(p)))[:12]
-    if not len(found):
+    modes = np.flatnonzero((p.imag > 0) & (np.abs(p.real) > NARROWEST * np.abs(p)))[:12]
+    if not len(modes):
         raise StructureError("no mode of the model oscillates with damping: there is no circle to draw")
-    return found
+    return modes
 
 
 # --- drawing ---------------------------------------------------------------------------------------------------------
@@ -603,11 +608,11 @@ def _draw_along_line(axis: Axes, places: Array, table: ShapeTable, l: int, look:
 
 def _name_sensors(axis: Axes, labels: list[str] | None) -> None:
     """Ticks at sensors: their names without units, where these are few and short."""
-    labels = None if labels is None else [parted(one)[0] for one in labels]
+    labels = None if labels is None else [parted(label)[0] for label in labels]
     if labels is not None and len(labels) <= _NAMED and max(map(len, labels)) <= 12:
         rotation = 90 if sum(map(len, labels)) > 24 else 0
         places = np.arange(1, len(labels) + 1)
-        axis.set_xticks(places, [plain(one) for one in labels], fontsize="small", rotation=rotation)
+        axis.set_xticks(places, [plain(label) for label in labels], fontsize="small", rotation=rotation)
     else:
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
 
@@ -674,13 +679,14 @@ def _draw_directions(axis: Axes) -> None:
         )  # fmt: skip
 
 
-def _draw_circle(axis: Axes, one: ModeCircle, look: Look) -> list[Any]:
-    lines = axis.plot(one.response.real, one.response.imag, label=plain(one.label), **{**MODEL_LINE, **look.line})
-    if len(one.measured):
-        lines += axis.plot(one.measured.real, one.measured.imag, label="measured", **{**DOTS, "markersize": 5.0})
+def _draw_circle(axis: Axes, circle: ModeCircle, look: Look) -> list[Any]:
+    response = circle.response
+    lines = axis.plot(response.real, response.imag, label=plain(circle.label), **{**MODEL_LINE, **look.line})
+    if len(circle.measured):
+        lines += axis.plot(circle.measured.real, circle.measured.imag, label="measured", **{**DOTS, "markersize": 5.0})
     cross: dict[str, Any] = {"linestyle": "none", "marker": "+", "markersize": 10.0, "color": "C3", "zorder": 4}
-    at = one.at_resonance
-    lines += axis.plot([at.real], [at.imag], label="resonance", **cross)
+    resonance = circle.at_resonance
+    lines += axis.plot([resonance.real], [resonance.imag], label="resonance", **cross)
     axis.set_aspect("equal", adjustable="datalim")
     axis.margins(0.08)
     look.lattice(axis)

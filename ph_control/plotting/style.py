@@ -24,6 +24,9 @@ from .._types import Array
 from .._units import SECONDS, hertz_size, parted, rate
 from ..exceptions import StructureError
 
+# axes to draw on: one, or those of each panel; None for a new figure
+AxesGiven = Axes | Sequence[Any] | NDArray[Any] | None
+
 STYLES = ("-", "--", "-.", ":")
 BAND: dict[str, Any] = {"alpha": 0.22, "linewidth": 0.0, "zorder": 1.5}
 ZERO: dict[str, Any] = {"color": "0.3", "linewidth": 0.6, "zorder": 1}
@@ -113,7 +116,7 @@ class Look:
             if minor is not None:
                 axis.grid(True, which="minor", axis=minor, linewidth=0.3, alpha=_MINOR)  # type: ignore[arg-type]
 
-    def legend(self, axis: Axes, least: int = 2) -> Any:
+    def legend(self, axis: Axes, least: int = 2) -> Legend | None:
         """Legend outside the data, or where it was asked to be; none for fewer entries than `least`."""
         if self.show_legend is False or (self.legend_loc is False and self.show_legend is None):
             return None
@@ -163,17 +166,17 @@ class Picture:
             self.figure.suptitle(plain(title if self.look.title is None else self.look.title))
         return ct.ControlPlot(self.lines, self.axes, self.figure, legend=legend)
 
-    def legend_of_all(self) -> Any:
+    def legend_of_all(self) -> Legend | None:
         """One legend below all axes of a new figure, of all that is in any; on given axes, or placed, of the first."""
-        found: dict[str, Any] = {}
+        handles: dict[str, Any] = {}
         for axis in self.axes.flat:
             for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
-                found.setdefault(label, handle)
+                handles.setdefault(label, handle)
         silent = self.look.show_legend is False or (self.look.legend_loc is False and not self.look.show_legend)
-        if not self.new or isinstance(self.look.legend_loc, str) or silent or len(found) < 2:
+        if not self.new or isinstance(self.look.legend_loc, str) or silent or len(handles) < 2:
             return self.look.legend(self.axes[0, 0])
-        place: dict[str, Any] = {"loc": "outside lower center", "ncols": len(found), "frameon": False}
-        return self.figure.legend(list(found.values()), list(found), **place)
+        place: dict[str, Any] = {"loc": "outside lower center", "ncols": len(handles), "frameon": False}
+        return self.figure.legend(list(handles.values()), list(handles), **place)
 
     def legends(self) -> NDArray[Any]:
         """Legends of all axes."""
@@ -181,7 +184,7 @@ class Picture:
 
 
 def picture(
-    look: Look, ax: Any, shape: tuple[int, int], size: tuple[float, float], *, meaning: str = "", tied: int = 0,
+    look: Look, ax: AxesGiven, shape: tuple[int, int], size: tuple[float, float], *, meaning: str = "", tied: int = 0,
     **options: Any,
 ) -> Picture:  # fmt: skip
     """Axes of the given shape in a new figure, or those that were passed; the first `tied` rows share their abscissa.
@@ -198,10 +201,11 @@ def picture(
     return Picture(look, figure, axes, new=True)
 
 
-def panels(look: Look, ax: Any, count: int, size: tuple[float, float], **options: Any) -> Picture:
+def panels(look: Look, ax: AxesGiven, count: int, size: tuple[float, float], **options: Any) -> Picture:
     """So many axes of this size each in rows of at most three, or those that were passed, as they lie."""
     if ax is not None:
-        shape = np.shape(ax) if np.ndim(ax) == 2 and np.size(ax) == count else (count, 1)
+        given = np.asarray(ax, object)
+        shape = (given.shape[0], given.shape[1]) if given.ndim == 2 and given.size == count else (count, 1)
         return picture(look, ax, shape, size, meaning="a panel for each")
     # four are two rows of two
     columns = 2 if count == 4 else min(count, 3)
@@ -213,13 +217,13 @@ def panels(look: Look, ax: Any, count: int, size: tuple[float, float], **options
     return drawn
 
 
-def _given_axes(ax: Any, shape: tuple[int, int], meaning: str) -> tuple[Figure, NDArray[Any]]:
+def _given_axes(ax: AxesGiven, shape: tuple[int, int], meaning: str) -> tuple[Figure, NDArray[Any]]:
     axes = np.array(ax, dtype=object)
     if axes.size != np.prod(shape):
         raise StructureError(
             f"ax has {axes.size} axes; expected {np.prod(shape)}, of shape {shape}{meaning and ': ' + meaning}"
         )
-    wrong = [one for one in axes.flat if not isinstance(one, Axes)]
+    wrong = [axis for axis in axes.flat if not isinstance(axis, Axes)]
     if wrong:
         raise StructureError(f"ax holds {_checks.shown(wrong[0])}; pass axes of matplotlib, as plt.subplots makes them")
     axes = axes.reshape(shape)
@@ -245,16 +249,16 @@ def told_gain_units(outputs: Sequence[str], inputs: Sequence[str]) -> list[str] 
     above, below = ([parted(name)[1] for name in names] for names in (outputs, inputs))
     if not (all(above) and all(below) and len(set(below)) == 1):
         return [None] * len(outputs)
-    return [f"{one}/({below[0]})" if set("/ ") & set(below[0]) else f"{one}/{below[0]}" for one in above]
+    return [f"{unit}/({below[0]})" if set("/ ") & set(below[0]) else f"{unit}/{below[0]}" for unit in above]
 
 
 def told_gain_unit(*sources: Any) -> str | None:
     """Unit of all responses of the first of these whose names of channels tell one."""
-    for one in sources:
-        names = [getattr(one, name, None) or [] for name in ("output_labels", "input_labels")]
-        told = set(told_gain_units(*names))
-        if len(told) == 1 and None not in told:
-            return told.pop()
+    for source in sources:
+        names = [getattr(source, name, None) or [] for name in ("output_labels", "input_labels")]
+        units = set(told_gain_units(*names))
+        if len(units) == 1 and None not in units:
+            return units.pop()
     return None
 
 

@@ -27,7 +27,7 @@ from ..numerics.rational import state_space
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import ph
 from .inputs import Subject, is_fit, models_around, subjects_of, timebase, title_of
-from .style import BAND, DOTS, ZERO, LineStyle, Look, extremes, labelled, picture, plain
+from .style import BAND, DOTS, ZERO, AxesGiven, LineStyle, Look, extremes, labelled, picture, plain
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -51,7 +51,7 @@ def step_plot(
     sysdata: Any, timepts: ArrayLike | None = None, *, timepts_num: int | None = None,
     data: ct.TimeResponseData | None = None, confidence: Any = None, level: float = 0.95, time_unit: str | None = None,
     output_unit: str | None = None, label: str | Sequence[str] | None = None, data_label: str | None = None,
-    ax: Any = None, **style: Unpack[LineStyle],
+    ax: AxesGiven = None, **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:  # fmt: skip
     """Responses to a unit step, in which no motion is lost between samples.
 
@@ -121,7 +121,7 @@ def impulse_plot(
     sysdata: Any, timepts: ArrayLike | None = None, *, timepts_num: int | None = None,
     data: ct.TimeResponseData | None = None, confidence: Any = None, level: float = 0.95, time_unit: str | None = None,
     output_unit: str | None = None, label: str | Sequence[str] | None = None, data_label: str | None = None,
-    ax: Any = None, **style: Unpack[LineStyle],
+    ax: AxesGiven = None, **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:  # fmt: skip
     """Responses to a unit impulse, in which no motion is lost between samples.
 
@@ -159,7 +159,7 @@ def impulse_plot(
 
 def _transient_plot(
     kind: str, sysdata: Any, timepts: Any, timepts_num: Any, options: Mapping[str, Any], time_unit: str | None,
-    output_unit: str | None, ax: Any, style: Mapping[str, Any],
+    output_unit: str | None, ax: AxesGiven, style: Mapping[str, Any],
 ) -> ct.ControlPlot:  # fmt: skip
     look = Look.of(style)
     numbers = transient_data(sysdata, kind, timepts, timepts_num, **options)
@@ -248,7 +248,7 @@ def transient_data(
     """Compute what `step_plot` and `impulse_plot` draw; the arguments are theirs."""
     subjects = subjects_of(sysdata, label)
     models = models_around(confidence, subjects, "step_band", "impulse_band")
-    forms = [_modes(one) for one in subjects]
+    forms = [_modes(subject) for subject in subjects]
     first = subjects[0].system
     measured = None if data is None else _measured(data, first, kind, data_label)
     if timepts is None and measured is not None:
@@ -256,15 +256,15 @@ def transient_data(
     given = None if timepts is None or np.ndim(timepts) == 0 else _instants(timepts)
     end = _end(subjects, forms, timepts) if given is None else float(given[-1])
     traces = []
-    for one, modes, drawn in zip(subjects, forms, models, strict=True):
+    for subject, modes, drawn in zip(subjects, forms, models, strict=True):
         if modes is None:
-            trace = _stepped(one, kind, given, end, timepts_num)
+            trace = _stepped(subject, kind, given, end, timepts_num)
         else:
-            trace = _lossless(one, modes, kind, given, end, timepts_num)
-        band = None if drawn is None else _band(one, modes, trace, drawn, kind, level)
+            trace = _lossless(subject, modes, kind, given, end, timepts_num)
+        band = None if drawn is None else _band(subject, modes, trace, drawn, kind, level)
         traces.append(replace(trace, band=band))
     outputs = first.output_labels
-    if any(one.system.output_labels != outputs for one in subjects):
+    if any(subject.system.output_labels != outputs for subject in subjects):
         # names that differ from one system to the next would be wrong for all but one
         outputs = ["Output"] if first.noutputs == 1 else [f"Output {k + 1}" for k in range(first.noutputs)]
     title = title_of(f"{kind.capitalize()} response", subjects, label is not None)
@@ -300,8 +300,8 @@ def _modes(subject: Subject) -> ModalForm | None:
     if sys.isdtime(strict=True) or sys.noutputs != sys.ninputs:
         return None
     try:
-        found = ph(sys, lossless=True)
-        return found.modes if in_normal_form(found) else None
+        lossless = ph(sys, lossless=True)
+        return lossless.modes if in_normal_form(lossless) else None
     except PHControlError:
         return None
 
@@ -324,17 +324,17 @@ def _end(subjects: list[Subject], forms: list[ModalForm | None], timepts: Any) -
     if timepts is not None:
         return _checks.sampling_step(timepts, name="the last instant")
     ends = []
-    for one, modes in zip(subjects, forms, strict=True):
+    for subject, modes in zip(subjects, forms, strict=True):
         if modes is None:
-            ends.append(float(ct.step_response(state_space(one.system)).time[-1]))
+            ends.append(float(ct.step_response(state_space(subject.system)).time[-1]))
         elif modes.nu.any():
             ends.append(_PERIODS * 2 * np.pi / float(modes.d[modes.nu.any(axis=1)].min()))
     return max(ends, default=10.0)
 
 
-def _count(end: float, fastest: float, asked: int | None, most: int) -> int:
-    if asked is not None:
-        return _checks.whole_number("timepts_num", asked, 2, _MOST)
+def _count(end: float, fastest: float, given: int | None, most: int) -> int:
+    if given is not None:
+        return _checks.whole_number("timepts_num", given, 2, _MOST)
     return int(np.clip(np.ceil(end * fastest / (2 * np.pi) * _PER_PERIOD) + 1, _LEAST, max(_LEAST, most)))
 
 
@@ -342,22 +342,22 @@ def _count(end: float, fastest: float, asked: int | None, most: int) -> int:
 
 
 def _lossless(
-    subject: Subject, modes: ModalForm, kind: str, given: Array | None, end: float, asked: int | None
+    subject: Subject, modes: ModalForm, kind: str, given: Array | None, end: float, samples: int | None
 ) -> Trace:
     """Response of a lossless system, with an envelope in place of the modes that its instants do not resolve."""
     integrals = KINDS.index(kind) + int(subject.lossless and subject.system._integrated)
     live, d = modes.nu.any(axis=1), modes.d
     if given is None:
         most = min(_MOST, _TABLE // max(1, int(live.sum())))
-        count = _count(end, d[live].max(initial=0.0), asked, most)
+        count = _count(end, d[live].max(initial=0.0), samples, most)
         fast = live & (d * end / (count - 1) > _COARSEST)
         # without those far fewer samples are enough
-        t = np.linspace(0.0, end, _count(end, d[live & ~fast].max(initial=0.0), asked, most))
+        t = np.linspace(0.0, end, _count(end, d[live & ~fast].max(initial=0.0), samples, most))
     else:
         t = given
         fast = live & (d * float(np.diff(t).max()) > _COARSEST)
     slow = values = response_of(modes, t, integrals, ~fast)
-    chosen = bool(fast.any()) and (given is not None or asked is not None)
+    chosen = bool(fast.any()) and (given is not None or samples is not None)
     if chosen:
         values = response_of(modes, t, integrals)
     # the largest sum of the oscillations
@@ -385,7 +385,7 @@ def response_of(modes: ModalForm, time: ArrayLike, integrals: int, moving: Mask 
     return total
 
 
-def _stepped(subject: Subject, kind: str, given: Array | None, end: float, asked: int | None) -> Trace:
+def _stepped(subject: Subject, kind: str, given: Array | None, end: float, samples: int | None) -> Trace:
     """Response that python-control computes, at instants that resolve it."""
     sys, label, sampled = subject.system, subject.label, bool(subject.system.isdtime(strict=True))
     fastest = 0.0
@@ -396,8 +396,8 @@ def _stepped(subject: Subject, kind: str, given: Array | None, end: float, asked
         # the fastest of the oscillations that last longer than a dot of the picture
         poles = poles_of(sys)
         fastest = float(np.abs(poles[poles.real > -_GONE * _LEAST / end].imag).max(initial=0.0))
-        count = _count(end, fastest, asked, _MOST_STEPPED)
-        if given is None and asked is None and fastest * end / (count - 1) > _COARSEST:
+        count = _count(end, fastest, samples, _MOST_STEPPED)
+        if given is None and samples is None and fastest * end / (count - 1) > _COARSEST:
             # what is left of it is shown as it is, rather than all of it as it is not
             end = (count - 1) * _COARSEST / fastest
             label = f"{label} (to {end:.3g}: it oscillates at {fastest:.3g} rad per unit time)"

@@ -19,6 +19,7 @@ from scipy.special import ndtri
 
 from .. import _checks
 from .._display import p_value
+from .._options import AxisScale
 from .._types import Array, ComplexArray, Indices, Mask
 from .._units import unit_for
 from ..exceptions import StructureError
@@ -32,6 +33,7 @@ from .style import (
     MEASURED,
     SAMPLES,
     ZERO,
+    AxesGiven,
     FrameStyle,
     Look,
     PlainLogFormatter,
@@ -73,7 +75,7 @@ def response_comparison_plot(
     gain_unit: str | None = None,
     scale: str | None = None,
     heading: str,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Magnitudes of all models over the measured one, phases below, and the size of the errors.
@@ -84,16 +86,16 @@ def response_comparison_plot(
     unit, unit_name = frequency_axis(Hz, time_unit)
     responses = _compared(omega, measured[None], predicted[:, None], labels, scale, (unit, unit_name))
     errors = [
-        replace(one, response=responses.measured[0].response - one.response, line=line_of_model(k))
-        for k, one in enumerate(responses.curves)
+        replace(curve, response=responses.measured[0].response - curve.response, line=line_of_model(k))
+        for k, curve in enumerate(responses.curves)
     ]
     # the smaller error is drawn over the larger
     errors.sort(key=lambda error: -float(np.nanmean(np.abs(error.response) ** 2)))
-    left, count = replace(responses, curves=errors, measured=[]), len(labels)
+    remainder, count = replace(responses, curves=errors, measured=[]), len(labels)
     quantities = gain_label(gain_unit), "Phase [deg]", gain_label(gain_unit, "Error")
     with look.context():
         drawn = picture(look, ax, (3, 1), (7.2, 5.55), tied=3, height_ratios=[2.4, 1.7, 1.7])
-        for row, (part, of) in enumerate((("magnitude", responses), ("phase", responses), ("magnitude", left))):
+        for row, (part, of) in enumerate((("magnitude", responses), ("phase", responses), ("magnitude", remainder))):
             lines = draw_part(drawn.axes[row, 0], of, part, 0, 0, look, Scale())
             # what was measured first
             drawn.lines[row, 0] = lines[count:] + lines[:count]
@@ -134,7 +136,7 @@ def channel_comparison_plot(
     gain_unit: str | None = None,
     detail: Any = "auto",
     heading: str,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Outputs of all models over those measured, a panel for each of c channels.
@@ -152,8 +154,8 @@ def channel_comparison_plot(
         responses = _compared(abscissa, measured, predicted, labels, scale, (unit, unit_name), DOTS)
     else:
         # of the output that is explained worst
-        left = np.nanmean(np.abs(measured - predicted) ** 2, axis=(0, 2)) / np.nanvar(measured, axis=1)
-        worst = int(np.nanargmax(left[:count]))
+        share = np.nanmean(np.abs(measured - predicted) ** 2, axis=(0, 2)) / np.nanvar(measured, axis=1)
+        worst = int(np.nanargmax(share[:count]))
         part = Outputs(abscissa, measured[worst], predicted[:, worst]).part(detail, None)
     with look.context():
         drawn = panels(look, ax, count, (3.6, 2.2), sharex=ax is None)
@@ -241,7 +243,7 @@ class ResponsePanel:
 
 
 def residual_panels_plot(
-    given: Sequence[CorrelationPanel | ResponsePanel], heading: str, ax: Any = None, *, folded: bool = False,
+    given: Sequence[CorrelationPanel | ResponsePanel], heading: str, ax: AxesGiven = None, *, folded: bool = False,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:  # fmt: skip
     """Panels below one another with a legend for each kind of them, or `folded`, in rows of three with one legend."""
@@ -275,7 +277,7 @@ def order_selection_plot(
     criterion: str,
     time_unit: str | None = None,
     Hz: bool = False,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Natural frequencies of each order, and what each criterion has above its least value."""
@@ -341,9 +343,9 @@ def stabilisation_plot(
     least_mac: float = 0.95,
     omega_limits: ArrayLike | None = None,
     Hz: bool | None = None,
-    scale: str | None = None,
+    scale: AxisScale | None = None,
     time_unit: str | None = None,
-    ax: Any = None,
+    ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Stabilisation diagram: natural frequencies of models of several orders, and which of them stay.
@@ -516,11 +518,11 @@ def _one_order(k: int, given: Any) -> tuple[ComplexArray, ComplexArray | None]:
 def _behind(data: list[Any]) -> list[tuple[Array, Array, str]]:
     """Frequencies and decibels of what is drawn behind the poles, and its name."""
     curves = []
-    for one in data:
-        if (table := table_in(one)) is not None:
+    for measurement in data:
+        if (table := table_in(measurement)) is not None:
             omega, size, name = table[0], np.abs(table[1].reshape(-1, len(table[0]))), "Sum of |FRF| [dB]"
         else:
-            _, y, step = recording_in(one)
+            _, y, step = recording_in(measurement)
             (omega, size), name = _output_spectra(y, step), "Output spectra [dB]"
         size = size[np.isfinite(size).any(axis=1)]
         level = np.sqrt(np.nanmean(size**2, axis=1, keepdims=True))
@@ -555,7 +557,8 @@ def _frequency_ends(
     low, high = float(d.min()), float(d.max())
     low, high = (low / _AROUND, high * _AROUND) if logarithmic else (low - 0.15 * high, 1.15 * high)
     if behind:
-        low, high = max(low, min(one[0][0] for one in behind)), min(high, max(one[0][-1] for one in behind))
+        grids = [omega for omega, *_ in behind]
+        low, high = max(low, min(grid[0] for grid in grids)), min(high, max(grid[-1] for grid in grids))
     return max(low, 0.0) / unit, high / unit
 
 
@@ -599,7 +602,7 @@ def channel_correlations(residuals: NDArray[Any], labels: Sequence[str]) -> list
 
     Of complex ones it is the real part, from point to point.
     """
-    found = []
+    panels = []
     for row, label in zip(residuals, labels, strict=True):
         seen = np.isfinite(row)
         e = np.where(seen, row - (np.mean(row[seen]) if seen.any() else 0.0), 0.0)
@@ -612,11 +615,13 @@ def channel_correlations(residuals: NDArray[Any], labels: Sequence[str]) -> list
         degrees = pairs * (2 if np.iscomplexobj(row) else 1)
         band = float(ndtri(0.5 + 0.5 * _CONFIDENCE)) / np.sqrt(np.maximum(degrees, 1))
         unit = "points" if np.iscomplexobj(row) else "samples"
-        found.append(CorrelationPanel(k, values, band, _CONFIDENCE, label, f"Lag [{unit}]"))
-    return found
+        panels.append(CorrelationPanel(k, values, band, _CONFIDENCE, label, f"Lag [{unit}]"))
+    return panels
 
 
-def hypothesis_plot(tests: Any, *, level: float = 0.05, ax: Any = None, **style: Unpack[FrameStyle]) -> ct.ControlPlot:
+def hypothesis_plot(
+    tests: Any, *, level: float = 0.05, ax: AxesGiven = None, **style: Unpack[FrameStyle]
+) -> ct.ControlPlot:
     """Table of the tests of a fit: hypothesis, likelihood ratio, degrees of freedom, p-value, and what follows.
 
     Parameters
@@ -683,16 +688,16 @@ _WIDTHS = [0.3, 0.22, 0.1, 0.18, 0.2]
 
 def hypothesis_table(tests: Any, level: float) -> list[list[str]]:
     """Rows of `hypothesis_plot`, as texts."""
-    found = list(getattr(tests, "tests", tests)) if hasattr(tests, "tests") or isinstance(tests, list | tuple) else []
+    listed = list(getattr(tests, "tests", tests)) if hasattr(tests, "tests") or isinstance(tests, list | tuple) else []
     needed = ("hypothesis", "likelihood_ratio", "dof", "p")
-    if not found or not all(hasattr(one, name) for one in found for name in needed):
+    if not listed or not all(hasattr(test, name) for test in listed for name in needed):
         raise StructureError(
             f"this is a {type(tests).__name__} without tests; pass a result of pem that has some, or its tests"
         )
     return [
         [
-            str(one.hypothesis), f"{one.likelihood_ratio:.5g}", f"{one.dof:g}", p_value(one.p).replace("p = ", ""),
-            "rejected" if one.p < level else "not rejected",
+            str(test.hypothesis), f"{test.likelihood_ratio:.5g}", f"{test.dof:g}", p_value(test.p).replace("p = ", ""),
+            "rejected" if test.p < level else "not rejected",
         ]
-        for one in found
+        for test in listed
     ]  # fmt: skip

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import control as ct
 import numpy as np
 from scipy.linalg import block_diag
 
 from .. import _checks
+from .._options import PORT_KINDS, PortKind
 from .._threads import on_one_thread
 from .._types import Array, ArrayLike, ComplexArray
 from .._units import DERIVATIVES, with_unit
-from ..analysis.passivity import KINDS, PassivityReport, passivity
+from ..analysis.passivity import PassivityReport, passivity
 from ..exceptions import ConditioningWarning, StructureError
 from ..modal.general_form import real_matrices
 from ..modal.positive_real import Split, split_axis
@@ -24,7 +25,8 @@ from ..systems.passive_form import joined, lossless_parts, minimal_part
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 from .closest_passive import Closest, FixedPoles, closest_passive
 
-Weight = str | tuple[Array, Array]  # name of a metric, or frequencies and the weights there
+Metric = Literal["covariance", "h2"]
+Weight = Metric | tuple[Array, Array]  # frequencies and the weights there
 
 _ACTIVE = 1e-12  # of its size: what a feedthrough that cannot move may lack of passivity
 _RIDGE = 1e-13  # of the largest: least information on what moves
@@ -33,8 +35,8 @@ _STEADY = (0.1, 0.3, 1.0, 3.0)  # standard errors of damping ratios that growing
 
 @on_one_thread
 def nearest_passive(
-    sys_or_result: Any, *, weight: str | tuple[ArrayLike, ArrayLike] | None = None, kind: str = "immittance"
-) -> ct.StateSpace:
+    sys_or_result: Any, *, weight: Metric | tuple[ArrayLike, ArrayLike] | None = None, kind: PortKind = "immittance"
+) -> PortHamiltonian | ct.StateSpace:
     """Find the passive model next to a system or a fit, with the same poles.
 
     Parameters
@@ -81,7 +83,7 @@ def nearest_passive(
     >>> phc.passivity(model).is_passive, bool(0 < model.cost < ct.norm(active, 2) ** 2)
     (True, True)
     """
-    _checks.choice("kind", kind, KINDS)
+    _checks.choice("kind", kind, PORT_KINDS)
     fitted = hasattr(sys_or_result, "covariance") and hasattr(sys_or_result, "residues")
     given = _weight(weight, "covariance" if fitted else "h2")
     if given == "covariance" and not fitted:
@@ -95,9 +97,9 @@ def nearest_passive(
     return _of_fit(sys_or_result, given, kind)
 
 
-def _weight(weight: str | tuple[ArrayLike, ArrayLike] | None, default: str) -> Weight:
+def _weight(weight: Metric | tuple[ArrayLike, ArrayLike] | None, default: Metric) -> Weight:
     if weight is None or isinstance(weight, str):
-        return default if weight is None else _checks.choice("weight", weight, ("covariance", "h2"))
+        return default if weight is None else _checks.choice("weight", weight, get_args(Metric))
     if not isinstance(weight, tuple | list) or len(weight) != 2:
         raise StructureError(
             f"weight is {_checks.shown(weight)}; pass 'covariance', 'h2', or a pair (omega, weights) of arrays"
@@ -115,7 +117,7 @@ def _weight(weight: str | tuple[ArrayLike, ArrayLike] | None, default: str) -> W
 # --- systems ------------------------------------------------------------------------------------------------------
 
 
-def _of_system(sys: Convertible, weight: Weight, kind: str) -> ct.StateSpace:
+def _of_system(sys: Convertible, weight: Weight, kind: PortKind) -> ct.StateSpace:
     report = passivity(sys, kind)
     _refuse_unstable(report)
     plain = state_space(sys)
@@ -149,7 +151,7 @@ def _refuse_unstable(report: PassivityReport) -> None:
         )
 
 
-def _passive_model(sys: Convertible, plain: ct.StateSpace, kind: str, cost: float) -> ct.StateSpace:
+def _passive_model(sys: Convertible, plain: ct.StateSpace, kind: PortKind, cost: float) -> ct.StateSpace:
     """The model as it is given away, judged by the exact test."""
     if kind == "scattering":
         model = ct.ss(plain)
@@ -259,7 +261,7 @@ class _PortMap:
         return moved[: m * n].reshape(m, n), moved[m * n :].reshape(m, m)
 
 
-def _of_fit(result: Any, weight: Weight, kind: str) -> ct.StateSpace:
+def _of_fit(result: Any, weight: Weight, kind: PortKind) -> ct.StateSpace:
     fit, cost = passive_fit(result, weight, kind)
     model = fit.observed_system if kind == "scattering" else fit.system
     if cost or kind == "scattering":
@@ -274,7 +276,7 @@ def _unchanged(result: Any) -> PortHamiltonian:
     return with_unit(model, result.time_unit)
 
 
-def passive_fit(result: Any, weight: Weight, kind: str) -> tuple[Any, float]:
+def passive_fit(result: Any, weight: Weight, kind: PortKind) -> tuple[Any, float]:
     """A fit with passive residues and feedthrough, and its squared distance."""
     if (result.poles.real < 0).all():
         return _moved(result, weight, kind, 0.0)
@@ -289,7 +291,7 @@ def passive_fit(result: Any, weight: Weight, kind: str) -> tuple[Any, float]:
     return min(fits, key=lambda candidate: candidate[1])
 
 
-def _moved(result: Any, weight: Weight, kind: str, steady: float) -> tuple[Any, float]:
+def _moved(result: Any, weight: Weight, kind: PortKind, steady: float) -> tuple[Any, float]:
     """The fit of poles that decay by so many standard errors, made passive."""
     pairs = _driving_points(result, kind)
     start, covariance, cost = _decaying(result, steady)
@@ -340,7 +342,7 @@ def _with(result: Any, theta: Array) -> Any:
     return replace(result, residues=residues, feedthrough=theta[2 * size :].reshape(result.feedthrough.shape))
 
 
-def _driving_points(result: Any, kind: str) -> tuple[tuple[int, int], ...]:
+def _driving_points(result: Any, kind: PortKind) -> tuple[tuple[int, int], ...]:
     _, p, m = result.residues.shape
     pairs = tuple(result.ports)
     if not pairs and p == m and (kind == "scattering" or p == 1):
@@ -353,7 +355,7 @@ def _driving_points(result: Any, kind: str) -> tuple[tuple[int, int], ...]:
     return tuple(sorted(pairs, key=lambda port: port[1]))
 
 
-def _ports_of(result: Any, pairs: tuple[tuple[int, int], ...], kind: str) -> _PortMap:
+def _ports_of(result: Any, pairs: tuple[tuple[int, int], ...], kind: PortKind) -> _PortMap:
     poles, (n, p, m) = np.asarray(result.poles, complex), result.residues.shape
     A, B, _ = real_matrices(
         np.repeat(poles, m), np.tile(np.eye(m), (n, 1)).astype(complex), np.zeros((1, n * m), complex)

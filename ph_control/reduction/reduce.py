@@ -11,6 +11,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from .. import _checks
+from .._options import REDUCTIONS, Reduction
 from .._threads import on_one_thread
 from .._types import Array
 from ..exceptions import StructureError
@@ -24,8 +25,6 @@ from .closest_passive import FixedPoles, closest_passive
 from .modal_truncation import Parts, Wanted, lossless_truncated, matrices_of, projected, truncated, with_unit_energy
 from .optimal import Full, Matrices, best_passive, stationary_models
 
-METHODS = ("modal", "balanced", "h2")
-
 _TOLERANCE = 1e-8  # relative, of norms
 _UNDAMPED = 1e-12  # damping ratio of what is called undamped
 _BEYOND = 1.5  # times the end of the band: up to where modes of a large structure are computed
@@ -38,7 +37,7 @@ def reduce(
     *,
     tolerance: float | None = None,
     band: tuple[float, float] | None = None,
-    method: str = "modal",
+    method: Reduction = "modal",
     residual_modes: bool = True,
 ) -> PortHamiltonian:
     """Approximate a passive system by a smaller one that is port-Hamiltonian.
@@ -103,7 +102,7 @@ def reduce(
     >>> phc.reduce(lossless, band=(0.0, 1.5)).is_lossless
     True
     """
-    _checks.choice("method", method, METHODS)
+    _checks.choice("method", method, REDUCTIONS)
     _checks.flags(residual_modes=residual_modes)
     if isinstance(sys, SecondOrderSystem):
         return _of_structure(sys, order, tolerance, band, method, residual_modes)
@@ -175,7 +174,7 @@ def _of_structure(
     order: int | None,
     tolerance: float | None,
     band: tuple[float, float] | None,
-    method: str,
+    method: Reduction,
     residual_modes: bool,
 ) -> PortHamiltonian:
     """By a model of more modes than are kept, whose difference from the structure is bounded below those left out."""

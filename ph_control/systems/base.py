@@ -188,7 +188,7 @@ class LosslessSystem(ct.StateSpace):
         np.copyto(across, aside, where=(across == 0) & np.isfinite(along))
         return response
 
-    def bode_plot(self, *args: Any, **kwargs: Any) -> Any:
+    def bode_plot(self, *args: Any, **kwargs: Any) -> ct.ControlPlot:
         """Bode plot of python-control; as `control.bode_plot`, with phases that start between -180 and 180 degrees."""
         if ct.config.defaults.get("freqplot.initial_phase") is None:
             kwargs.setdefault("initial_phase", 0)

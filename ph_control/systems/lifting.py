@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Literal
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
 _LARGEST = 100_000  # degrees of freedom of a lifted system, whose matrices have 4 m^2 entries
 
 
-def lift(sys: Convertible, m: int, *, padding: ArrayLike | str | None = None) -> PortHamiltonian:
+def lift(sys: Convertible, m: int, *, padding: ArrayLike | Literal["ones"] | None = None) -> PortHamiltonian:
     """System of m degrees of freedom with the same filter.
 
     Theorem "(i) for any m >= n ..." of the paper's section on restrictions of higher dimensional systems:
@@ -111,7 +112,7 @@ def lifted_size(m: int, n: int) -> int:
 # --- padding -------------------------------------------------------------------------------------------------
 
 
-def _padding(d: Array, count: int, padding: ArrayLike | str | None) -> Array:
+def _padding(d: Array, count: int, padding: ArrayLike | Literal["ones"] | None) -> Array:
     if padding is None:
         return _frequencies_between(d, count)
     if isinstance(padding, str):

@@ -12,6 +12,7 @@ from scipy.linalg import svdvals
 
 from .. import _checks
 from .._display import latex_matrix
+from .._options import STORAGES, Discretisation, Interpolation, Storage
 from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import ConditioningWarning, NotLosslessError, StructureError
 from ..modal import foster_test
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
 _SIGNALS = ("inputs", "outputs", "states")
 _UNCERTAIN = 1e-3  # of a frequency: what rounding of Q may move it by without a word
-STORAGES = ("auto", "available", "required", "mean")
 _OF_Q = ("_proven", "_energy", "_frequencies", "S")  # views that take O(n^3) steps, of Q alone
 _KEYWORDS = ("R", "P", "S", "N", "J", "sensors", "storage", "lossless", "ports", "method", "intersample")
 _ADVICE = {
@@ -431,7 +431,7 @@ class PortHamiltonian(LosslessSystem):
         # Python asks the subclass first; StateSpace.__rmul__ would hand the question back without end
         return NotImplemented if isinstance(other, ct.StateSpace) else super().__rmul__(other)
 
-    def feedback(self, other: ct.StateSpace | ArrayLike = 1, sign: int = -1) -> ct.StateSpace:
+    def feedback(self, other: ct.StateSpace | ArrayLike = 1, sign: int = -1) -> PortHamiltonian | ct.StateSpace:
         """Feedback loop, PH for negative feedback through a PH system or a matrix that only takes energy.
 
         Parameters
@@ -462,7 +462,7 @@ class PortHamiltonian(LosslessSystem):
         except AttributeError:  # of python-control, which finds no system in it
             raise TypeError(f"a {type(other).__name__} cannot be the feedback of a system") from None
 
-    def append(self, other: ct.StateSpace | ArrayLike) -> ct.StateSpace:
+    def append(self, other: ct.StateSpace | ArrayLike) -> PortHamiltonian | ct.StateSpace:
         """Systems side by side, PH with a PH system or with a gain that takes energy.
 
         Parameters
@@ -601,11 +601,11 @@ def ph(
     N: ArrayLike | None = None,
     J: ArrayLike | None = None,
     sensors: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None,
-    storage: str = "auto",
+    storage: Storage = "auto",
     lossless: bool = False,
     ports: PortPairs | None = None,
-    method: str | None = None,
-    intersample: str = "zoh",
+    method: Discretisation | None = None,
+    intersample: Interpolation = "zoh",
     **names: Any,
 ) -> PortHamiltonian:
     """Make a port-Hamiltonian system.
@@ -744,8 +744,8 @@ def _of_system(
     storage: str,
     lossless: bool,
     ports: PortPairs | None,
-    method: str | None,
-    intersample: str,
+    method: Discretisation | None,
+    intersample: Interpolation,
     names: dict[str, Any],
 ) -> PortHamiltonian:
     """Port-Hamiltonian form of any linear system."""
@@ -803,7 +803,7 @@ def _as_it_is(
 
 
 def _lossless_modes(
-    system: LinearSystem, required: bool, method: str | None, intersample: str
+    system: LinearSystem, required: bool, method: Discretisation | None, intersample: Interpolation
 ) -> tuple[ModalForm | None, NotLosslessError | None]:
     """Modes of a system if it is lossless, or why it is not, which is raised where that is required."""
     try:

@@ -52,34 +52,34 @@ def run(options: Namespace) -> int:
     place = check_place(options.experiment, len(names))
     models = read_models(options.models, options)
     data = measurements(names, options)
-    found = phc.compare(
+    comparison = phc.compare(
         data.whole, *(model.content for model in models), method=options.method, intersample=options.intersample,
         initial_state=options.initial_state, offset=options.offset, labels=labels_of(models, options),
         horizon=options.horizon, **data.keywords,
     )  # fmt: skip
     if options.plot is not None:
-        deliver_picture(found.plot(place), options.plot, options.overwrite)
-    numbers = found.fit_percent, found.rms_error, found.own_record, found.output_fit_percent
-    rows = zip(models, found.labels, *numbers, strict=True)
+        deliver_picture(comparison.plot(place), options.plot, options.overwrite)
+    numbers = comparison.fit_percent, comparison.rms_error, comparison.own_record, comparison.output_fit_percent
+    rows = zip(models, comparison.labels, *numbers, strict=True)
     answer = {
         "command": "compare",
-        "output": found.output_label,
-        "best": found.best,
+        "output": comparison.output_label,
+        "best": comparison.best,
         "models": [
             {
                 "label": label, "source": model.source, "fit_percent": fit, "rms_error": error, "own_record": own,
-                "outputs": dict(zip(found.output_labels, each, strict=True)),
+                "outputs": dict(zip(comparison.output_labels, each, strict=True)),
             }
             for model, label, fit, error, own, each in rows
         ],
         "experiments": [
-            {"samples": one.record.samples, "fit_percent": one.fit_percent, "rms_error": one.rms_error}
-            for one in found.experiments
+            {"samples": part.record.samples, "fit_percent": part.fit_percent, "rms_error": part.rms_error}
+            for part in comparison.experiments
         ],
-        "horizon": found.horizon,
+        "horizon": comparison.horizon,
     }  # fmt: skip
-    conclude(options, answer, [options.plot], f"{found}\n")
-    best = float(found.fit_percent.max())
+    conclude(options, answer, [options.plot], f"{comparison}\n")
+    best = float(comparison.fit_percent.max())
     if options.at_least is None or best >= options.at_least:
         return DONE
     complain(f"the best fit is {best:.2f} %, below the {options.at_least:g} % of --at-least")

@@ -86,16 +86,16 @@ def _form_of(made: Any) -> str:
 def _converted(model: Model, form: str | None, name: str | None) -> Any:
     """Object of the wanted form, or of its own."""
     if isinstance(model.content, phc.AffineHamiltonian) and form in (None, "ss"):
-        found: Any = model.content
+        system: Any = model.content
     else:
-        found = model.port_hamiltonian()
-    if isinstance(found, phc.ModalForm) and (form not in (None, "modes") or name is not None):
+        system = model.port_hamiltonian()
+    if isinstance(system, phc.ModalForm) and (form not in (None, "modes") or name is not None):
         # modes have no name, and no matrices
-        found = phc.ph(found, name=system_name_of(model.label))
-    if form == "modes" or isinstance(found, phc.ModalForm):
-        return phc.modes(found)
+        system = phc.ph(system, name=system_name_of(model.label))
+    if form == "modes" or isinstance(system, phc.ModalForm):
+        return phc.modes(system)
     makers: dict[str | None, Any] = {"ph": phc.ph, "ch": phc.ch, "oh": phc.oh, "tf": phc.tf}
-    made = makers[form](found, name=found.name) if form in makers else found
+    made = makers[form](system, name=system.name) if form in makers else system
     return made if name is None else made.copy(name)
 
 
@@ -104,10 +104,10 @@ def encoded(made: Any, form: str | None, kind: str) -> str | bytes:
     from ...io.codecs import dissipative_to_dict, document_of
     from ...io.matlab import matlab_of
 
-    found = _form_of(made)
-    if found == "tf":
+    form_made = _form_of(made)
+    if form_made == "tf":
         arrays = _polynomials(made)
-    elif found == "modes" and kind != "json":
+    elif form_made == "modes" and kind != "json":
         if not made.is_lossless:
             raise StructureError("modes with damping are kept in JSON; write .json, or the matrices by --to ss")
         if made.nports != 1 or len(made.rigid):

@@ -100,7 +100,7 @@ def run(options: Namespace) -> int:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise OutputExistsError(f"{folder} exists and is not an empty folder; name another one, or leave --folder out")
     folder.mkdir(parents=True, exist_ok=True)
-    found, known = [], plants()
+    reports, known = [], plants()
     for plant, rng in zip(known, np.random.default_rng(options.seed).spawn(len(known)), strict=True):
         recording, (inputs, outputs) = folder / f"{plant.name}.csv", plant.labels
         header = ",".join(["time [s]", *inputs, *outputs])
@@ -118,9 +118,9 @@ def run(options: Namespace) -> int:
             made = (".csv", ".json", ".html") if several else (".csv", ".json", "_fit.png", "_bode.png")
             files = "   " + ", ".join(plant.name + end for end in made)
             emit("\n".join([f"== {plant.title}", *_against_truth(plant, result), files, "", ""]))
-        found.append({"plant": plant.name, "true": _truth(plant), "fit": fit_of(result)})
+        reports.append({"plant": plant.name, "true": _truth(plant), "fit": fit_of(result)})
     if options.json:
-        emit_json({"command": "demo", "folder": str(folder), "seed": options.seed, "plants": found})
+        emit_json({"command": "demo", "folder": str(folder), "seed": options.seed, "plants": reports})
     else:
         emit(f"Everything is in {folder.resolve()}; structure.html opens in a browser.\n")
         emit(f"Next: ph-control fit {folder / 'chain.csv'} --model my_model.json --plot my_fit.png\n")
@@ -164,7 +164,8 @@ def _against_truth(plant: Plant, result: phc.PEMResult) -> Iterator[str]:
 def _draw(plant: Plant, result: phc.PEMResult, folder: Path) -> None:
     import matplotlib.pyplot as plt
 
-    response = result.record.as_response()
+    record: Any = result.record
+    response = record.as_response()
     pictures = {
         "fit": result.plot(),
         "bode": phc.bode_plot([result.system, plant.system], data=response, label=["identified", "true"]),

@@ -26,10 +26,19 @@ from typing import Any
 
 import ph_control as phc
 
-from ..._choices import CRITERIA, NOISES, QUANTITIES, REPRESENTATIONS, STRUCTURES
+from ..._options import (
+    CRITERIA,
+    INITIAL_STATES,
+    NOISE_KINDS,
+    QUANTITIES,
+    REPRESENTATIONS,
+    RESPONSE_INTERPOLATIONS,
+    SENSOR_QUANTITIES,
+    STRUCTURE_CHOICES,
+)
 from ...exceptions import IdentificationError, StructureError
 from ..inputs import measurements, read_model, system_name_of
-from ..options import INTERSAMPLE, Parser, add_meeting, add_recording, add_written, order, system_name, within
+from ..options import Parser, add_meeting, add_recording, add_written, order, system_name, within
 from ..outcome import DONE, INTERRUPTED, NO, NoError, ProgressLine, complain, emit, in_shell_terms
 from ..outputs import (
     check_files,
@@ -72,14 +81,14 @@ def add_fitted(parser: Parser) -> None:
         help="number of real poles, as of lags, beside the modes, or auto (default); alone with --order 0",
     )  # fmt: skip
     model.add_argument(
-        "--noise", choices=NOISES, default="auto", help="what is beside the response to the inputs (default auto)"
+        "--noise", choices=NOISE_KINDS, default="auto", help="what is beside the response to the inputs (default auto)"
     )
     model.add_argument("--max-order", type=int, default=20, metavar="N", help="largest order of auto (default 20)")
     model.add_argument(
         "--criterion", choices=CRITERIA, default="bic", help="criterion that auto minimises (default bic)"
     )
     model.add_argument(
-        "--structure", choices=("auto", *STRUCTURES), default="auto",
+        "--structure", choices=STRUCTURE_CHOICES, default="auto",
         help="assumption about losses and sensors (default auto: the simplest that the data do not reject)",
     )  # fmt: skip
     model.add_argument(
@@ -90,7 +99,7 @@ def add_fitted(parser: Parser) -> None:
         help=f"{', '.join(QUANTITIES)}, for all outputs or for each (default: from the file, its labels or units, "
         "else velocity)",
     )  # fmt: skip
-    add_meeting(model, ("estimate", "zero"), "whichever fits better", (*INTERSAMPLE, "bandlimited"))
+    add_meeting(model, INITIAL_STATES, "whichever fits better", RESPONSE_INTERPOLATIONS)
     model.add_argument(
         "--no-offset", dest="offset", action="store_false",
         help="no offset (default: an offset or a drift if the data show it)",
@@ -142,10 +151,10 @@ def delays(text: str) -> str | float | list[float]:
     if text == "auto":
         return text
     try:
-        found = [float(word) for word in text.split(",")]
+        times = [float(word) for word in text.split(",")]
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is no delay; write auto, 0, 0.05 or 0.05,0.06") from None
-    return found[0] if len(found) == 1 else found
+    return times[0] if len(times) == 1 else times
 
 
 def ports(text: str) -> list[tuple[str | int, str | int]]:
@@ -162,11 +171,11 @@ def _label(text: str) -> str | int:
 
 def quantities(text: str) -> str | list[str]:
     """One quantity, or several between commas."""
-    found = [word.strip() for word in text.split(",")]
-    wrong = [word for word in found if word not in QUANTITIES]
+    words = [word.strip() for word in text.split(",")]
+    wrong = [word for word in words if word not in SENSOR_QUANTITIES]
     if wrong:
-        raise argparse.ArgumentTypeError(f"{wrong[0]!r} is none of {', '.join(map(repr, QUANTITIES))}")
-    return found[0] if len(found) == 1 else found
+        raise argparse.ArgumentTypeError(f"{wrong[0]!r} is none of {', '.join(map(repr, SENSOR_QUANTITIES))}")
+    return words[0] if len(words) == 1 else words
 
 
 def run(options: Namespace) -> int:
@@ -199,13 +208,13 @@ def run(options: Namespace) -> int:
 
 def _fitted(options: Namespace) -> tuple[phc.PEMResult, bool]:
     """The result, and whether time was up."""
-    found, keywords = measurements(options.recordings, options), keywords_of(options)
+    recordings, keywords = measurements(options.recordings, options), keywords_of(options)
     watch, result = ProgressLine(str, options.timeout, always=options.watch_progress), None
     try:
         with watch:
             result = phc.pem(
-                found.whole, keywords.pop("order"), **keywords, workers=options.workers, callback=watch.callback,
-                **found.keywords,
+                recordings.whole, keywords.pop("order"), **keywords, workers=options.workers, callback=watch.callback,
+                **recordings.keywords,
             )  # fmt: skip
     except KeyboardInterrupt:
         if result is None and watch.expired:

@@ -75,9 +75,9 @@ def run(options: Namespace) -> int:
     if options.plot is not None:
         deliver_picture(tracks.plot(), options.plot, options.overwrite)
     rows = [dict(zip(fits.table.dtype.names or (), row.tolist(), strict=True)) for row in fits.table]
-    told = [row | {"track": k} for row, k in zip(rows, tracks.ids.tolist(), strict=True)]
+    tracked = [row | {"track": k} for row, k in zip(rows, tracks.ids.tolist(), strict=True)]
     counts = {"failed": len(fits.failures), "interrupted": not fits.complete}
-    answer = {"command": "fit-many", "rows": told, **counts}
+    answer = {"command": "fit-many", "rows": tracked, **counts}
     conclude(options, answer, outputs, in_shell_terms(f"{fits}\n\n{tracks}\n"))
     if not fits.complete:
         why = "the time of --timeout is up" if watch.expired else "interrupted"
@@ -97,10 +97,10 @@ def recording_of(reading: Mapping[str, Any], path: Path) -> Any:
     """Data of a file, with weights where a column of them was named."""
     from ...identification.data.experiments import as_measured
 
-    found = measurements([str(path)], Namespace(**reading))
-    if found.weights is None:
-        return found.whole
-    return list(as_measured(found.data, **found.keywords))
+    read = measurements([str(path)], Namespace(**reading))
+    if read.weights is None:
+        return read.whole
+    return list(as_measured(read.data, **read.keywords))
 
 
 @contextmanager

@@ -55,13 +55,13 @@ def _answer(model: Model) -> tuple[dict[str, Any], str]:
     given = _foreign(model)
     try:
         # an affine system is what it is
-        found = model.content if isinstance(model.content, phc.AffineHamiltonian) else model.port_hamiltonian()
+        system = model.content if isinstance(model.content, phc.AffineHamiltonian) else model.port_hamiltonian()
     except NoError as error:
         text = "\n".join([f"{given}, NOT {error.missing}", *(f"  - {line}" for line in error.violations)])
         return {**known, "lossless": False, "violations": error.violations}, text
-    known["lossless"] = bool(found.is_lossless)
+    known["lossless"] = bool(system.is_lossless)
     lines = [f"{given}, {'lossless' if known['lossless'] else 'with losses'}"] if given else []
-    return {**known, **_fields_of(found), "violations": []}, "\n".join(lines + _lines(found))
+    return {**known, **_fields_of(system), "violations": []}, "\n".join(lines + _lines(system))
 
 
 def _foreign(model: Model) -> str:
@@ -78,42 +78,42 @@ def _foreign(model: Model) -> str:
     return f"{model.source}: {kind}, {counted(system.ninputs, 'input')}, {counted(system.noutputs, 'output')}"
 
 
-def _modes(found: Any) -> tuple[phc.ModalForm, str | None]:
+def _modes(system: Any) -> tuple[phc.ModalForm, str | None]:
     """Modal form, and the unit of time."""
-    return found if isinstance(found, phc.ModalForm) else found.modes, getattr(found, "time_unit", None)
+    return system if isinstance(system, phc.ModalForm) else system.modes, getattr(system, "time_unit", None)
 
 
-def _fields_of(found: Any) -> dict[str, Any]:
-    form, unit = _modes(found)
+def _fields_of(system: Any) -> dict[str, Any]:
+    form, unit = _modes(system)
     fields: dict[str, Any] = {"ports": form.nports, "states": 2 * form.n, "degrees_of_freedom": form.n}
-    if found is not form:
-        fields |= {"states": found.nstates, "degrees_of_freedom": found.n, "name": found.name}
-        fields |= {"inputs": found.input_labels, "outputs": found.output_labels}
+    if system is not form:
+        fields |= {"states": system.nstates, "degrees_of_freedom": system.n, "name": system.name}
+        fields |= {"inputs": system.input_labels, "outputs": system.output_labels}
     if not _in_d_and_r(form):
-        fields |= {"states": len(form.poles)} if found is form else {}
+        fields |= {"states": len(form.poles)} if system is form else {}
         damped = {"natural_frequencies": form.natural_frequencies, "damping_ratios": form.damping_ratios}
         hertz = form.natural_frequencies / hertz_size(unit) if unit else None
         return {**fields, "sensors": form.noutputs - form.nports, "time_unit": unit, "hertz": hertz, **damped}
-    if isinstance(found, phc.PortHamiltonian):
-        fields["canonical"] = bool(found.is_canonical)
+    if isinstance(system, phc.PortHamiltonian):
+        fields["canonical"] = bool(system.is_canonical)
     return {**fields, "time_unit": unit, "hertz": form.d / hertz_size(unit) if unit else None, **modes_of(form)}
 
 
-def _lines(found: Any) -> list[str]:
-    form, unit = _modes(found)
-    kind, ports = type(found).__name__, counted(form.nports, "port")
-    if found is form:
+def _lines(system: Any) -> list[str]:
+    form, unit = _modes(system)
+    kind, ports = type(system).__name__, counted(form.nports, "port")
+    if system is form:
         lines = [f"{kind}: {counted(form.n, 'mode')}, {ports}"]
     else:
-        degrees = f"{counted(found.n, 'degree')} of freedom, {counted(found.nstates, 'state')}"
+        degrees = f"{counted(system.n, 'degree')} of freedom, {counted(system.nstates, 'state')}"
         lines = [
-            f"{kind} {found.name}: {degrees}, {ports}",
-            f"  inputs {', '.join(found.input_labels)}; outputs {', '.join(found.output_labels)}",
+            f"{kind} {system.name}: {degrees}, {ports}",
+            f"  inputs {', '.join(system.input_labels)}; outputs {', '.join(system.output_labels)}",
         ]
     if not _in_d_and_r(form):
-        return lines + _damped_lines(found, form, unit)
-    if isinstance(found, phc.PortHamiltonian):
-        lines.append(f"  canonical (controllable and observable): {'yes' if found.is_canonical else 'no'}")
+        return lines + _damped_lines(system, form, unit)
+    if isinstance(system, phc.PortHamiltonian):
+        lines.append(f"  canonical (controllable and observable): {'yes' if system.is_canonical else 'no'}")
     head = f"d [{rate(unit)}]", f"f [{'Hz' if unit else '1/time'}]"
     lines.append(f"   mode   {head[0]:18}   {head[1]:15}   weight r          residue kappa")
     for l, (d, r, kappa) in enumerate(zip(form.d, form.r, form.kappa, strict=True), 1):
@@ -131,12 +131,12 @@ def _in_d_and_r(form: phc.ModalForm) -> bool:
     return not isinstance(form, GeneralModalForm)
 
 
-def _damped_lines(found: Any, form: phc.ModalForm, unit: str | None) -> list[str]:
+def _damped_lines(system: Any, form: phc.ModalForm, unit: str | None) -> list[str]:
     """Losses and sensors of a system, and a table of natural frequencies and damping ratios."""
     lines = []
-    if found is not form:
-        more = found._beyond_lossless()
-        lines.append(f"  {'lossless' if found.is_lossless else 'port-Hamiltonian with losses'}: {', '.join(more)}")
+    if system is not form:
+        more = system._beyond_lossless()
+        lines.append(f"  {'lossless' if system.is_lossless else 'port-Hamiltonian with losses'}: {', '.join(more)}")
     head = f"[{rate(unit)}]", f"f [{'Hz' if unit else '1/time'}]"
     lines.append(f"   mode   natural frequency {head[0]:12} {head[1]:15}   damping ratio [%]")
     rows = zip(form.natural_frequencies, form.damping_ratios, strict=True)

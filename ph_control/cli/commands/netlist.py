@@ -18,6 +18,7 @@ from argparse import Namespace
 
 import ph_control as phc
 
+from ..._options import CIRCUIT_FORMS, IMMITTANCES
 from ..inputs import read_models, source_and_target
 from ..options import Parser, add_files, add_written
 from ..outputs import conclude, deliver
@@ -29,13 +30,13 @@ def add_options(parser: Parser) -> None:
     """Declare the options."""
     add_files(parser, "netlist")
     parser.add_argument(
-        "--form", choices=("foster1", "foster2", "cauer1", "cauer2", "state-space"),
+        "--form", choices=CIRCUIT_FORMS,
         help="form of a lossless one-port, or controlled sources for any passive model (default: one resonator for "
         "each mode)",
     )  # fmt: skip
     parser.add_argument(
         "--kind",
-        choices=("admittance", "impedance"),
+        choices=IMMITTANCES,
         default="admittance",
         help="meaning of the transfer function (default: admittance)",
     )
@@ -48,6 +49,6 @@ def run(options: Namespace) -> int:
     (model,) = read_models(sources, options)
     circuit = phc.netlist(model.port_hamiltonian(), options.form, kind=options.kind)
     deliver(circuit.spice(), target, options.overwrite)
-    elements = [{"name": one.name, "nodes": one.nodes, "value": one.value} for one in circuit.elements]
+    elements = [{"name": element.name, "nodes": element.nodes, "value": element.value} for element in circuit.elements]
     answer = {"command": "netlist", "source": model.source, "form": circuit.form, "kind": circuit.kind}
     return conclude(options, {**answer, "elements": elements}, [target])

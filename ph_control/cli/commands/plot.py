@@ -153,9 +153,9 @@ def _driven(system: phc.PortHamiltonian, options: Namespace) -> Any:
     if options.recording is None:
         time = phc.step_response(system, options.until).time
         return phc.forced_response(system, time, np.ones((system.ninputs, len(time))), return_states=True)
-    found = measurements([options.recording], options)
-    record = found.data[0]
-    if not found.in_time or record.ninputs != system.ninputs:
+    recordings = measurements([options.recording], options)
+    record = recordings.data[0]
+    if not recordings.in_time or record.ninputs != system.ninputs:
         raise StructureError(
             f"{options.recording} has no recorded input for the {system.ninputs} of the model, which supplies the "
             "energy; name another, or leave --recording out for a unit step"

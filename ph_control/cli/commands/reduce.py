@@ -18,6 +18,7 @@ import numpy as np
 
 import ph_control as phc
 
+from ..._options import REDUCTIONS
 from ..inputs import read_models, source_and_target
 from ..options import Parser, add_files, add_written, pair
 from ..outputs import conclude, deliver
@@ -39,9 +40,7 @@ def add_options(parser: Parser) -> None:
     parser.add_argument(
         "--band", type=pair, metavar="LOW,HIGH", help="natural frequencies to keep, in rad per unit time"
     )
-    parser.add_argument(
-        "--method", choices=("modal", "balanced", "h2"), default="modal", help="reduction method (default: modal)"
-    )
+    parser.add_argument("--method", choices=REDUCTIONS, default="modal", help="reduction method (default: modal)")
     parser.add_argument("--format", choices=FORMATS, help="file format (default: from the suffix)")
     add_written(parser)
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ... import _checks
+from ..._options import TestedParameters
 from ..._threads import on_one_thread
 from ...exceptions import StructureError
 from .mode_comparison import ModeComparison, compared_modes
@@ -13,11 +14,6 @@ from .score_test import ChangeTest, score_test
 
 class Monitored:
     """Comparison of a result with a later one, and its test on a later record."""
-
-    if TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            """Attributes of the result."""
 
     def compare(
         self, other: Any, *, frequency_tolerance: float = 0.1, least_mac: float = 0.5, level: float = 0.05
@@ -78,7 +74,7 @@ class Monitored:
 
     @on_one_thread
     def changed(
-        self, data: Any, *, parameters: str = "all", level: float = 0.05, dt: float | None = None
+        self, data: Any, *, parameters: TestedParameters = "all", level: float = 0.05, dt: float | None = None
     ) -> ChangeTest:  # fmt: skip
         """Test whether a new record is one of the same plant, without a fit.
 

@@ -12,6 +12,7 @@ from ... import _checks
 from ..._checks import EPS
 from ..._display import Report, aligned, p_value, to_its_error
 from ..._frozen import Frozen
+from ..._options import TESTED_PARAMETERS
 from ..._types import Array, Indices
 from ..._units import common_unit, hertz_size, rate
 from ...exceptions import StructureError
@@ -23,8 +24,6 @@ from .multiple_tests import holm, two_sided
 from .score import CORRELATED, Score, known_parameters, root_of_covariance
 from .sensitivities import Sensitivities, noise_of
 from .unmeasured_forces import sensitivities_of
-
-TESTED = ("all", "poles")
 
 _BLIND = 1e-11  # of the squares of unit derivatives: what other unknowns do as well
 _SPARE = 10  # samples beyond the unknowns, at least
@@ -172,7 +171,7 @@ def _cells(shift: float, error: float) -> list[str]:
 
 def score_test(result: Any, data: Any, parameters: str, level: float, dt: float | None) -> ChangeTest:
     """Test the parameters of a result on a new record."""
-    _checks.choice("parameters", parameters, TESTED)
+    _checks.choice("parameters", parameters, TESTED_PARAMETERS)
     level = _checks.level("level", level)
     record = _new_record(result, data, dt)
     tested = _tested(result, parameters)

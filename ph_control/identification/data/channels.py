@@ -6,12 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import Any, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 from control import FrequencyResponseData, TimeResponseData
 
 from ... import _checks
+from ..._options import ResponseInterpolation
 from ..._types import Array, ComplexArray, Indices
 from ..._units import checked_unit
 from ...analysis.spectral_window import SpectralWindow, window_of
@@ -31,6 +32,8 @@ from .time_record import (
     stays_on_disk,
     uniform_time,
 )
+
+ResponseHold = Literal["auto", "zoh", "foh", "bandlimited", "sampled"]
 
 Labels = tuple[str, ...]
 
@@ -384,7 +387,7 @@ class Sampling:
 
     window: Any = None
     dt: float | None = None
-    hold: str = "auto"
+    hold: ResponseHold = "auto"
 
     def stated_by(self, data: Any) -> Sampling:
         """With what data state of themselves by the attributes `window`, `step` and `intersample`."""
@@ -393,7 +396,7 @@ class Sampling:
         step = getattr(data, "step", None)
         if step is not None:
             refuse_contradiction(self.dt, step, "the estimate")
-        hold = getattr(data, "intersample", "auto") if self.hold == "auto" else self.hold
+        hold: Any = getattr(data, "intersample", "auto") if self.hold == "auto" else self.hold
         return Sampling(data.window, step or self.dt, hold)
 
     def of(self, data: Any, omega: Array) -> SpectralWindow | None:
@@ -410,7 +413,8 @@ class Sampling:
             step = float(data.dt)
             refuse_contradiction(self.dt, step, "the frequency response")
         step = None if step is None else _checks.sampling_step(step)
-        return window_of(self.window, omega, step, "zoh" if self.hold in ("auto", "sampled") else self.hold)
+        hold: ResponseInterpolation = "zoh" if self.hold == "auto" or self.hold == "sampled" else self.hold
+        return window_of(self.window, omega, step, hold)
 
 
 NO_SAMPLING = Sampling()

@@ -16,6 +16,7 @@ from ...exceptions import IdentificationError, StructureError
 from .channels import (
     Channels,
     Recording,
+    ResponseHold,
     ResponseMatrix,
     Sampling,
     matched,
@@ -90,7 +91,7 @@ def as_experiments(
 
 
 def as_channels(
-    data: Any, dt: Any = None, *, weights: Any = None, window: Any = None, hold: str = "auto",
+    data: Any, dt: Any = None, *, weights: Any = None, window: Any = None, hold: ResponseHold = "auto",
     output_needed: bool = True,
 ) -> Channels:  # fmt: skip
     """Make checked experiments of several inputs and outputs, all in time or all in frequency.
@@ -200,7 +201,7 @@ def one_recording(data: Any, dt: Any, outputs: int) -> Recording:
     if blind:
         u = np.atleast_2d(_checks.real_array("the input", data[0]))
         data = (u, np.zeros((outputs, u.shape[1])))
-    channels: Any = as_channels(data, dt if isinstance(data, tuple) else None)
+    channels = as_channels(data, dt if isinstance(data, tuple) else None)
     if len(channels) > 1 or isinstance(channels[0], ResponseMatrix):
         raise StructureError(f"data is a {type(data).__name__} of {len(channels)} experiments; pass one time record")
     record: Recording = several(channels[0])
@@ -281,7 +282,13 @@ def _refuse_mixture(data: Any, weights: Any, first: Any, window: Any) -> None:
 
 
 def _experiment(
-    data: Any, dt: Any, weights: Any, first: Any, output_needed: bool = True, window: Any = None, hold: str = "auto"
+    data: Any,
+    dt: Any,
+    weights: Any,
+    first: Any,
+    output_needed: bool = True,
+    window: Any = None,
+    hold: ResponseHold = "auto",
 ) -> tuple[Any, ...]:
     """Checked data of one experiment, of one or of several channels; in a list of the kind of the `first`."""
     _refuse_mixture(data, weights, first, window)

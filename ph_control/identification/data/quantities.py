@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ... import _checks
-from ..._choices import QUANTITIES
 from ..._display import counted
+from ..._options import QUANTITIES
 from ...exceptions import StructureError
 from ...io.tables.columns import is_time_label
 

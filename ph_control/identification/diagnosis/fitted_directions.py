@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
+from ..._options import Discretisation, Interpolation
 from ..._types import Array, ComplexArray
 from ...modal.discretization import Hold
 from ..data.channels import Recording
@@ -38,8 +39,8 @@ class FittedModel:
     covariance: Array
     delay: Array
     quantities: tuple[str, ...]
-    method: str
-    intersample: str
+    method: Discretisation
+    intersample: Interpolation
 
 
 def directions_of(data: Any, model: Any) -> Directions:

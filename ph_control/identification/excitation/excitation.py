@@ -8,10 +8,19 @@ from typing import Any
 import numpy as np
 
 from ... import _checks
+from ..._options import (
+    DISCRETISATIONS,
+    INITIAL_STATES,
+    INTERPOLATIONS,
+    Discretisation,
+    InitialState,
+    Interpolation,
+    Motion,
+)
 from ..._types import Array, ArrayLike, ComplexArray
 from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
-from ...modal.discretization import INTERSAMPLE, METHODS, Hold
+from ...modal.discretization import Hold
 from ...modal.modal_form import ModalForm, imaginary
 from ...systems.port_hamiltonian import modes
 from ..data.experiments import as_experiments
@@ -38,10 +47,10 @@ def excitation(
     order: Any,
     *,
     dt: float | None = None,
-    method: str = "exact",
-    intersample: str = "zoh",
-    initial_state: str = "estimate",
-    quantity: str = "velocity",
+    method: Discretisation = "exact",
+    intersample: Interpolation = "zoh",
+    initial_state: InitialState = "estimate",
+    quantity: Motion = "velocity",
     noise_std: ArrayLike | None = None,
 ) -> Excitation | PlantExcitation:
     """Tell what a record can and cannot show of a model, and what input would show it.
@@ -115,9 +124,9 @@ def excitation(
     >>> report.sufficient, report.stderr["damping_ratios"].round(4)
     (True, array([0.0004, 0.0011]))
     """
-    _checks.choice("method", method, METHODS)
-    _checks.choice("intersample", intersample, INTERSAMPLE)
-    _checks.choice("initial_state", initial_state, ("estimate", "zero"))
+    _checks.choice("method", method, DISCRETISATIONS)
+    _checks.choice("intersample", intersample, INTERPOLATIONS)
+    _checks.choice("initial_state", initial_state, INITIAL_STATES)
     _checks.choice("quantity", quantity, QUANTITIES)
     if not _checks.is_whole(order) and not _is_lossless_port(order):
         if quantity != "velocity":
@@ -247,13 +256,13 @@ def _is_lossless_port(order: Any) -> bool:
     return bool(form.is_lossless and form.nports == 1 and not len(form.rigid) and len(form.d))
 
 
-def _refuse_other_hold(order: Any, method: str, intersample: str) -> None:
+def _refuse_other_hold(order: Any, method: Discretisation, intersample: Interpolation) -> None:
     for name, value in (("method", method), ("intersample", intersample)):
         if (fitted := getattr(order, name, value)) != value:
             raise StructureError(f"the model was fitted with {name}={fitted!r}; pass that, or its modes alone")
 
 
-def _model(order: Any, method: str, intersample: str) -> ModalForm:
+def _model(order: Any, method: Discretisation, intersample: Interpolation) -> ModalForm:
     """One-port oscillating modal form of whatever describes a model."""
     _refuse_other_hold(order, method, intersample)
     if isinstance(order, tuple | list):

@@ -10,6 +10,7 @@ import numpy as np
 
 from ... import _checks
 from ..._frozen import ReadOnlyMapping
+from ..._options import Discretisation, Interpolation
 from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask
 from ..._units import common_unit, hertz_size
 from ...exceptions import StructureError
@@ -63,8 +64,8 @@ class PlannedPlant:
     input_labels: tuple[str, ...]
     output_labels: tuple[str, ...]
     time_unit: str | None = None
-    method: str = "exact"
-    intersample: str = "zoh"
+    method: Discretisation = "exact"
+    intersample: Interpolation = "zoh"
     noise: NoiseModel | None = None
 
     @classmethod

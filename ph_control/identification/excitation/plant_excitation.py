@@ -11,6 +11,7 @@ import numpy as np
 
 from ..._display import Report, aligned, counted, to_its_error
 from ..._frozen import Frozen
+from ..._options import Discretisation, Interpolation
 from ..._types import ComplexArray
 from ..._units import rate, step_of
 from ...exceptions import IdentificationError, StructureError
@@ -83,7 +84,7 @@ class PlantExcitation(OfInformation, Report, Frozen):
     samples: int
     observed: int
     dt: float
-    method: str
+    method: Discretisation
     from_rest: bool
     poles: ComplexArray
     information: Information
@@ -224,7 +225,12 @@ def _reasons(report: PlantExcitation) -> Iterator[str]:
 
 
 def plant_excitation(
-    data: Any, model: Any, dt: float | None, hold_of: tuple[str, str], from_rest: bool, noise_std: Any
+    data: Any,
+    model: Any,
+    dt: float | None,
+    hold_of: tuple[Discretisation, Interpolation],
+    from_rest: bool,
+    noise_std: Any,
 ) -> PlantExcitation:
     """Judge records at a plant; `hold_of` are method and behaviour of the input between the samples."""
     plant = replace(PlannedPlant.of(model), structure="free")

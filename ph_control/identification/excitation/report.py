@@ -11,6 +11,7 @@ import numpy as np
 
 from ..._display import Report, aligned, counted
 from ..._frozen import Frozen, ReadOnlyMapping
+from ..._options import Discretisation
 from ..._types import Array
 from ..._units import rate, step_of
 from ..uncertainty.fisher import Combination, Information, listed, named_modes
@@ -75,7 +76,7 @@ class Excitation(OfInformation, Report, Frozen):
     samples: int
     observed: int
     dt: float
-    method: str
+    method: Discretisation
     from_rest: bool
     d: Array
     r: Array

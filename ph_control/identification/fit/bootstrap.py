@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._threads import on_one_thread
-from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..._types import Array, ComplexArray, Indices, Mask, NDArray, RandomSource
 from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
 from ..data.channels import Recording
@@ -32,6 +32,9 @@ from ..structure.constrained import StructuredFit, constrained
 from ..structure.layout import ChannelLayout, weights_of
 from ..uncertainty.draws import draws_from, tail_of
 from ..uncertainty.modal_draws import ModalSamples
+
+if TYPE_CHECKING:
+    from .pem_result import PEMResult
 
 _EXACT = 1e-4  # of the noise variance: decrease of the sum of squares at which a refit takes its last step
 
@@ -124,7 +127,7 @@ class Bootstrap(Frozen):
         """Real poles, shape (k, r)."""
         return np.asarray(self.poles[:, self._modes :].real)
 
-    def _statistic(self, of: Callable[[Array], Array]) -> Mapping[str, Any]:
+    def _statistic(self, of: Callable[[Array], Array]) -> Mapping[str, NDArray[Any]]:
         """Statistic of each parameter by its name, along the resamples; of complex ones of both parts."""
         statistics = {}
         more = [name for name in ("r", "initial_state") if getattr(self, name).size]
@@ -134,12 +137,12 @@ class Bootstrap(Frozen):
         return ReadOnlyMapping(statistics)
 
     @cached_property
-    def stderr(self) -> Mapping[str, Any]:
+    def stderr(self) -> Mapping[str, NDArray[Any]]:
         """Standard deviation over the resamples, under keys of the result's `stderr`; NaN for fewer than two."""
         few = len(self) < 2
         return self._statistic(lambda draws: np.full(draws.shape[1:], np.nan) if few else np.std(draws, axis=0, ddof=1))
 
-    def interval(self, level: float = 0.95) -> Mapping[str, Any]:
+    def interval(self, level: float = 0.95) -> Mapping[str, NDArray[Any]]:
         """Percentile intervals of the parameters.
 
         Parameters
@@ -192,7 +195,7 @@ class Resampled:
     """The bootstrap of a result."""
 
     @on_one_thread
-    def bootstrap(self: Any, k: int = 200, *, rng: Any = None, workers: Any = 1) -> Bootstrap:
+    def bootstrap(self: Any, k: int = 200, *, rng: RandomSource = None, workers: Any = 1) -> Bootstrap:
         """Refit to resampled noise: errors that do not rest on a normal distribution, nor on noise of one level.
 
         Each time the residuals of every experiment are drawn anew, with replacement, added to its prediction, and the
@@ -268,7 +271,7 @@ class Resampled:
         return Bootstrap(poles, residues, through, r, states, offsets, failed, self.background, *late)
 
 
-def _parts(result: Any) -> tuple[NDArray[Any], ...]:
+def _parts(result: PEMResult) -> tuple[NDArray[Any], ...]:
     """What a bootstrap has of each estimate."""
     r = result.r if result._has_weights else np.zeros(0)
     states = result.initial_states if result._moves_as_state else (np.zeros(0),)
@@ -277,13 +280,14 @@ def _parts(result: Any) -> tuple[NDArray[Any], ...]:
 
 
 def _drawn(
-    result: Any, poles: ComplexArray, residues: ComplexArray, through: Array, motions: list[ComplexArray],
+    result: PEMResult, poles: ComplexArray, residues: ComplexArray, through: Array, motions: list[ComplexArray],
     offsets: list[Array],
-) -> Any:  # fmt: skip
+) -> PEMResult:  # fmt: skip
     """The result with another estimate."""
     lossless = result.structure == "lossless" and result._has_weights
     r = weights_of(poles, residues[:, 0, 0], result.quantity) if lossless else None
-    experiments = []
+    experiments: Any = []
+    data: Any
     for data, motion, offset in zip(result.experiments, motions, offsets, strict=True):
         if isinstance(data, FittedChannels):
             data = replace(data, free_amplitudes=motion[:, : data.free_amplitudes.shape[1]], offsets=offset)
@@ -310,7 +314,7 @@ class _Refit:
     count: int  # of these
 
     @classmethod
-    def of(cls, result: Any) -> _Refit:
+    def of(cls, result: PEMResult) -> _Refit:
         """Make it of a result."""
         channels: Any = as_channels([experiment.record for experiment in result.experiments])
         if isinstance(channels[0], Recording):
@@ -396,7 +400,7 @@ class _Refit:
         return motions, offsets
 
 
-def _on_background(rows: Sequence[FreeResponse], result: Any) -> list[FreeResponse]:
+def _on_background(rows: Sequence[FreeResponse], result: PEMResult) -> list[FreeResponse]:
     """Responses on the background of a result."""
     parts = [
         experiment.background.coefficients.reshape(5, -1) for experiment in result.experiments if experiment.background

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal, get_args
 
 import control as ct
 import numpy as np
@@ -21,7 +21,7 @@ from scipy.signal import lfilter
 from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
-from ..._types import Array, ArrayLike, Mask
+from ..._types import Array, ArrayLike, Mask, RandomSource
 from ...exceptions import IdentificationError, StructureError
 from ...modal.modal_form import from_frequencies
 from ...systems.canonical_forms import ObservableHamiltonian, oh
@@ -30,8 +30,9 @@ from ..data.experiments import as_record
 from ..data.time_record import Record
 from ..uncertainty.state_coordinates import observable_state
 
-PARAMETERS = ("natural", "unique")
-OPTIMIZERS = ("plain", "adam")
+Parameters = Literal["natural", "unique"]
+Optimizer = Literal["plain", "adam"]
+SimulatedState = Literal["fitted", "final", "zero"]
 
 _MOST = 10**9  # steps
 _SLOWEST = 1e-3  # turn (rad) of the slowest mode over the record: slower ones are not told from a pole at 0
@@ -103,7 +104,7 @@ class GradientResult(Report, Frozen):
         """Observable form that `initial_state` is a state of."""
         return oh(self.d, self.v)
 
-    def predict(self, u: ArrayLike, *, initial_state: ArrayLike | str = "fitted") -> ct.TimeResponseData:
+    def predict(self, u: ArrayLike, *, initial_state: ArrayLike | SimulatedState = "fitted") -> ct.TimeResponseData:
         """Output of the learned observable form by Euler's rule.
 
         Parameters
@@ -130,7 +131,7 @@ class GradientResult(Report, Frozen):
         past = np.zeros(0)
         start = self.initial_state
         if isinstance(initial_state, str):
-            _checks.choice("initial_state", initial_state, ("fitted", "final", "zero"))
+            _checks.choice("initial_state", initial_state, get_args(SimulatedState))
             past = self.record.u if initial_state == "final" else past
             start = 0.0 * start if initial_state == "zero" else start
         else:
@@ -149,13 +150,13 @@ def gradient_descent(
     order: int,
     *,
     dt: float | None = None,
-    parameters: str = "natural",
-    optimizer: str = "plain",
+    parameters: Parameters = "natural",
+    optimizer: Optimizer = "plain",
     learning_rate: float = 0.1,
     epochs: int = 500,
     initial_guess: Any = None,
     validation: Any = None,
-    rng: Any = None,
+    rng: RandomSource = None,
 ) -> GradientResult:
     """Learn a lossless model by gradient descent, as the paper does; a reference, use `pem` for work.
 
@@ -222,8 +223,8 @@ def gradient_descent(
     (array([1.]), array([0.5]))
     >>> ahead = result.predict(u[:10], initial_state="final")
     """
-    _checks.choice("parameters", parameters, PARAMETERS)
-    _checks.choice("optimizer", optimizer, OPTIMIZERS)
+    _checks.choice("parameters", parameters, get_args(Parameters))
+    _checks.choice("optimizer", optimizer, get_args(Optimizer))
     number = isinstance(learning_rate, int | float | np.integer | np.floating) and not isinstance(learning_rate, bool)
     if not (number and 0 < learning_rate < float(np.finfo(float).max)):
         raise StructureError(f"learning_rate is {_checks.shown(learning_rate)}; it must be a positive number")
@@ -320,7 +321,7 @@ def _message(
 # --- where to start, and what is allowed -----------------------------------------------------------------------------
 
 
-def _random_start(problem: EulerProblem, rng: Any) -> Array:
+def _random_start(problem: EulerProblem, rng: RandomSource) -> Array:
     """Random parameters of the size of the signals.
 
     Frequencies up to twice the mean frequency of the output, weights in the ratio of the signals, and modes that

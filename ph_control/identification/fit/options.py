@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ... import _checks
+from ..._options import Criterion, Discretisation, InterpolationOrAuto, NoiseKind
 from ..._types import Array, ComplexArray
 from ..._units import common_unit
 from ...exceptions import StructureError
@@ -31,11 +32,11 @@ class Options:
     """
 
     order: int | str
-    method: str
-    intersample: str
+    method: Discretisation
+    intersample: InterpolationOrAuto
     offset: bool | str
     max_order: int
-    criterion: str
+    criterion: Criterion
     callback: Callback | None
     moving: bool
     weighted: bool
@@ -43,7 +44,7 @@ class Options:
     delay: Array | None
     input_delay: Array | None
     reachable: bool
-    noise: str = "auto"
+    noise: NoiseKind = "auto"
 
     @classmethod
     def checked(cls, channels: Channels, **options: Any) -> Options:

@@ -3,17 +3,36 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 from ... import _checks
-from ..._choices import CRITERIA, NOISES, REPRESENTATIONS, STRUCTURES
 from ..._heartbeat import heard_by
+from ..._options import (
+    CRITERIA,
+    DISCRETISATIONS,
+    FITTED_INTERPOLATIONS,
+    INITIAL_STATES,
+    NOISE_KINDS,
+    REPRESENTATIONS,
+    STRUCTURE_CHOICES,
+    STRUCTURES,
+    Criterion,
+    Discretisation,
+    FittedInterpolation,
+    InitialState,
+    InterpolationOrAuto,
+    NoiseKind,
+    Representation,
+    SensorQuantity,
+    Structure,
+)
 from ..._threads import on_one_thread
+from ..._types import ArrayLike, RandomSource
 from ..._workers import check_workers
-from ...analysis.spectral_window import HOLDS as BETWEEN_SAMPLES
 from ...exceptions import IdentifiabilityWarning, StructureError
-from ...modal.discretization import METHODS
+from ..data.channels import Channels, ResponseHold
 from ..data.experiments import as_channels
 from ..data.hammer import contacts_alone
 from ..data.quantities import ports_of, quantity_of
@@ -30,28 +49,28 @@ from .pem_result import PEMResult
 @on_one_thread
 def pem(
     data: Any,
-    order: int | str = "auto",
+    order: int | Literal["auto"] = "auto",
     *,
     dt: Any = None,
-    method: str = "exact",
-    intersample: str = "auto",
-    initial_state: str = "estimate",
-    offset: bool | str = "auto",
-    quantity: Any = None,
-    representation: str = "observable",
+    method: Discretisation = "exact",
+    intersample: FittedInterpolation = "auto",
+    initial_state: InitialState = "estimate",
+    offset: bool | Literal["auto"] = "auto",
+    quantity: SensorQuantity | Sequence[SensorQuantity] | Mapping[str, SensorQuantity] | None = None,
+    representation: Representation = "observable",
     initial_guess: Any = None,
     weights: Any = None,
-    criterion: str = "bic",
+    criterion: Criterion = "bic",
     max_order: int | None = None,
     workers: Any = 1,
-    rng: Any = None,
+    rng: RandomSource = None,
     callback: Callback | None = None,
-    structure: str = "auto",
+    structure: Structure = "auto",
     ports: Any = None,
-    real_poles: int | str = "auto",
-    delay: Any = "auto",
-    input_delay: Any = "auto",
-    noise: str = "auto",
+    real_poles: int | Literal["auto"] = "auto",
+    delay: ArrayLike | Literal["auto"] = "auto",
+    input_delay: ArrayLike | Literal["auto"] = "auto",
+    noise: NoiseKind = "auto",
     window: Any = None,
     model: Any = None,
     parameters: Any = None,
@@ -221,11 +240,11 @@ def pem(
     (2, (2, 3), True)
     """
     for name, value, allowed in (
-        ("criterion", criterion, CRITERIA), ("structure", structure, ("auto", *STRUCTURES)),
-        ("method", method, METHODS), ("representation", representation, REPRESENTATIONS),
-        ("intersample", intersample, ("auto", *BETWEEN_SAMPLES)),
-        ("initial_state", initial_state, ("estimate", "zero")),
-        ("noise", noise, NOISES),
+        ("criterion", criterion, CRITERIA), ("structure", structure, STRUCTURE_CHOICES),
+        ("method", method, DISCRETISATIONS), ("representation", representation, REPRESENTATIONS),
+        ("intersample", intersample, FITTED_INTERPOLATIONS),
+        ("initial_state", initial_state, INITIAL_STATES),
+        ("noise", noise, NOISE_KINDS),
     ):  # fmt: skip
         _checks.choice(name, value, allowed)
     check_workers(workers)
@@ -233,11 +252,11 @@ def pem(
     quantity = quantity_of(data) if quantity is None else quantity
     ports = ports_of(data, quantity) if ports is None else ports
     function = _checked_model(model, parameters, bounds, structure)
-    channels: Any = as_channels(data, dt, weights=weights, window=window, hold=intersample)
+    channels = as_channels(data, dt, weights=weights, window=window, hold=intersample)
     others = _otherwise_sampled(data, channels, intersample)
-    intersample = _of_records(intersample, channels)
+    held = _of_records(intersample, channels)
     options = Options.checked(
-        channels, order=order, method=method, intersample=intersample, offset=offset, max_order=max_order,
+        channels, order=order, method=method, intersample=held, offset=offset, max_order=max_order,
         criterion=criterion, callback=callback, moving=initial_state == "estimate", weighted=weights is not None,
         real_poles=real_poles, delay=delay, input_delay=input_delay, reachable=representation == "controllable",
         noise=noise,
@@ -265,7 +284,7 @@ def pem(
     return result
 
 
-def _otherwise_sampled(data: Any, channels: Any, intersample: str) -> tuple[str, ...]:
+def _otherwise_sampled(data: Any, channels: Channels, intersample: FittedInterpolation) -> tuple[ResponseHold, ...]:
     """How windowed responses that do not tell it may have been estimated otherwise."""
     every = data if isinstance(data, list | tuple) else [data]
     stated = any(getattr(part, "dt", None) or getattr(part, "intersample", None) for part in every)
@@ -296,7 +315,7 @@ def _checked_model(model: Any, parameters: Any, bounds: Any, structure: str) -> 
     return ModelFunction.checked(model, parameters, bounds)
 
 
-def _of_records(intersample: str, channels: Any) -> str:
+def _of_records(intersample: FittedInterpolation, channels: Channels) -> InterpolationOrAuto:
     """What is assumed of the inputs of records; those of windowed responses have theirs in the window."""
     if intersample != "bandlimited":
         return intersample
@@ -308,7 +327,7 @@ def _of_records(intersample: str, channels: Any) -> str:
     return "zoh"
 
 
-def _beside_hammer_noise(channels: Any, fit: Any) -> PEMResult:
+def _beside_hammer_noise(channels: Channels, fit: Any) -> PEMResult:
     """Fit with the force of a hammer 0 outside its contacts, where that explains the outputs better."""
     hits = contacts_alone(channels)
     if hits is None:

@@ -14,13 +14,14 @@ import numpy as np
 from ... import _checks
 from ..._display import counted
 from ..._frozen import ReadOnlyMapping
-from ..._types import Array, ArrayLike, ComplexArray
+from ..._options import PREDICTED_STATES, Discretisation, Interpolation, PredictedState
+from ..._types import Array, ArrayLike, ComplexArray, NDArray, RandomSource
 from ..._units import DERIVATIVES, common_unit, hertz_size, with_unit
 from ...analysis.spectral_window import SpectralWindow
 from ...exceptions import ConditioningWarning, NoSuchQuantityError, NotPassiveError, StructureError
 from ...modal.discretization import Hold
 from ...modal.general_form import from_vectors, real_matrices
-from ...modal.modal_form import from_frequencies, imaginary
+from ...modal.modal_form import ModalForm, from_frequencies, imaginary
 from ...reduction.nearest_passive import nearest_passive
 from ...systems.port_hamiltonian import PortHamiltonian, ph
 from ..change.monitored import Monitored
@@ -187,15 +188,15 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
     success: bool
     outcome: Outcome
     message: str
-    intersample: str
+    intersample: Interpolation
     delay: Array = field(default_factory=lambda: np.zeros(1))
     delay_stderr: Array = field(default_factory=lambda: np.zeros(1))
     input_delay: Array = field(default_factory=lambda: np.zeros(1))
-    method: str = "exact"
+    method: Discretisation = "exact"
     blind: bool = False
     noise: NoiseModel | None = None
     fitted_parameters: FittedParameters | None = None
-    stderr: Mapping[str, Any] = field(init=False)
+    stderr: Mapping[str, NDArray[Any]] = field(init=False)
 
     def __post_init__(self) -> None:
         outputs, inputs = len(self.output_labels), len(self.input_labels)
@@ -324,7 +325,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
     # --- models ----------------------------------------------------------------------------------------------------
 
     @property
-    def modes(self) -> Any:
+    def modes(self) -> ModalForm:
         """Modal form of what was measured, of residues of rank one; a free motion has no inputs and none."""
         if not self.input_labels:
             raise StructureError(
@@ -374,7 +375,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         return with_unit(ct.StateSpace(A, B, C, through, remove_useless_states=False, **names), self.time_unit)
 
     @cached_property
-    def system(self) -> Any:
+    def system(self) -> PortHamiltonian | ct.StateSpace:
         """The model: with ports and losses that are 0, classical or passive a `PortHamiltonian`, else a `StateSpace`.
 
         The port outputs are velocities; what was measured otherwise are sensors beside them.  Where that is not
@@ -469,7 +470,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         )
         return max(1, parts - self.unknowns)
 
-    def sample(self, k: int, rng: Any = None) -> ModalSamples:
+    def sample(self, k: int, rng: RandomSource = None) -> ModalSamples:
         """Models drawn from the distribution of the estimate, for bands and for designs that must hold for all.
 
         Parameters
@@ -529,7 +530,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         through = draws[:, 2 * n + 2 * size :].reshape(len(draws), p, m)
         return ModalSamples(poles, residues, through, shapes, self.background, self.delay, self.input_delay)
 
-    def sample_systems(self, k: int, rng: Any = None) -> list[Any]:
+    def sample_systems(self, k: int, rng: RandomSource = None) -> list[PortHamiltonian | ct.StateSpace]:
         """Systems of models drawn as by `sample`, for controllers that must do for all of them.
 
         Parameters
@@ -715,7 +716,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         return response_through(self.window, frequencies, self.poles, halves, self.feedthrough)
 
     def predict(
-        self, data: Any, *, initial_state: ArrayLike | str | None = None, dt: float | None = None,
+        self, data: Any, *, initial_state: ArrayLike | PredictedState | None = None, dt: float | None = None,
         horizon: int | None = None,
     ) -> ct.TimeResponseData:  # fmt: skip
         """Outputs of the model on another record, simulated or predicted some steps ahead.
@@ -797,7 +798,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
             return self._outputs_from(self._motion_of(initial_state), record)
         alone = len(self.experiments) == 1 and not np.iscomplexobj(self.experiments[0].predicted)
         name = initial_state or ("estimate" if seen else "fitted" if alone else "zero")
-        _checks.choice("initial_state", name, ("estimate", "fitted", "final", "zero"))
+        _checks.choice("initial_state", name, PREDICTED_STATES)
         hold = Hold(record.dt, self.method, self.intersample)
         if name in ("fitted", "final"):
             if len(self.experiments) > 1:

@@ -9,12 +9,15 @@ import control as ct
 import numpy as np
 
 from ... import _checks
+from ..._options import Discretisation, Interpolation
 from ..._types import Array
 from ..._units import with_unit
 from ...exceptions import NoSuchQuantityError, StructureError
 from ...modal.discretization import Hold
+from ...systems.port_hamiltonian import PortHamiltonian
 from ..uncertainty.kalman import KalmanFilter, NoisyPlant, continuous_gain, foretold_colour, growing
 from ..uncertainty.noise_model import NoiseModel, through_plant
+from .result import FittedModes
 
 _SAME_STEP = 0.01  # relative difference of steps that are the same, as of the instants of a record
 _SAME_STATES = 1e-6  # relative difference up to which two systems are one in other states
@@ -27,14 +30,26 @@ def checked_horizon(value: Any) -> int | None:
     return _checks.whole_number("horizon", value, 1)
 
 
-class Foretelling:
+class Foretelling(FittedModes):
     """The predictor of a fit and its gain, from its poles, residues, delays and `noise`."""
 
     if TYPE_CHECKING:
         noise: NoiseModel | None
+        delay: Array
+        method: Discretisation
+        intersample: Interpolation
 
-        def __getattr__(self, name: str) -> Any:
-            """Attributes of the result."""
+        @property
+        def offsets(self) -> Array:
+            """Constants of the outputs."""
+
+        @cached_property
+        def system(self) -> PortHamiltonian | ct.StateSpace:
+            """The model."""
+
+        @cached_property
+        def observed_system(self) -> ct.StateSpace:
+            """Linear system from the inputs to what was measured."""
 
     @property
     def predictor(self) -> ct.StateSpace:
@@ -193,17 +208,17 @@ class Foretelling:
 # --- some steps ahead ------------------------------------------------------------------------------------------------
 
 
-def grows(result: Any) -> bool:
+def grows(result: Foretelling) -> bool:
     """Whether a fit has a pole that grows, so that inputs alone do not tell where the plant is."""
     return result.noise is not None and bool(growing(result._step(result.noise.dt)).any())
 
 
-def is_simulated(result: Any) -> bool:
+def is_simulated(result: Foretelling) -> bool:
     """Whether outputs of the past tell a fit nothing, so that it foretells what it simulates."""
     return result.noise is None or (result.noise.is_white and not grows(result))
 
 
-def ahead(result: Any, simulated: Array, y: Array, dt: float, horizon: int) -> Array:
+def ahead(result: Foretelling, simulated: Array, y: Array, dt: float, horizon: int) -> Array:
     """Outputs (p, T) predicted so many steps ahead, where a simulation of the plant is known."""
     noise = _noise_at(result, dt)
     if noise.is_white:
@@ -214,7 +229,7 @@ def ahead(result: Any, simulated: Array, y: Array, dt: float, horizon: int) -> A
     return simulated + result._beside_simulation.foretold(np.zeros((0, rest.shape[1])), rest, horizon)
 
 
-def ahead_of_growth(result: Any, u: Array, y: Array, dt: float, horizon: int, moving: bool) -> Array:
+def ahead_of_growth(result: Foretelling, u: Array, y: Array, dt: float, horizon: int, moving: bool) -> Array:
     """The same of a plant with a pole that grows, whose simulation leaves the outputs behind.
 
     The state at the first sample, and constants where the fit has them, are those that leave the least to be told;
@@ -228,7 +243,7 @@ def ahead_of_growth(result: Any, u: Array, y: Array, dt: float, horizon: int, mo
     return np.asarray(filter.foretold(u, y - offset[:, None], horizon, start) + offset[:, None])
 
 
-def _noise_at(result: Any, dt: float) -> NoiseModel:
+def _noise_at(result: Foretelling, dt: float) -> NoiseModel:
     """Noise of a fit at a step, which has to be its own where samples of the past tell anything."""
     noise: NoiseModel = result._noise_in_time
     if not is_simulated(result) and abs(dt - noise.dt) > _SAME_STEP * noise.dt:

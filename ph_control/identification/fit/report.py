@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import textwrap
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +12,11 @@ from ..._display import Report, aligned, counted, html_heading, html_report, htm
 from ..._units import step_of
 from ...exceptions import printable, shortened
 from ..data.quantities import measured_by
+
+if TYPE_CHECKING:
+    from ..diagnosis.verdict import HypothesisTest
+    from ..parameters.fitted_parameters import FittedParameters
+    from .pem_result import PEMResult
 
 _SHOWN = 6  # experiments listed one by one
 _NAMED = 4  # channels
@@ -37,7 +43,7 @@ class ModalReport(Report):
     def _headline(self: Any) -> str:
         return f"{counted_poles(self)}, {self.structure}, fit {percent(self.fit_percent)}, {self.verdict}"
 
-    def _mode_table(self) -> list[list[str]]:
+    def _mode_table(self: Any) -> list[list[str]]:
         return mode_table(self)
 
     def _tables(self: Any) -> list[list[str]]:
@@ -67,7 +73,7 @@ class ModalReport(Report):
         ]
 
 
-def _offset_line(result: Any) -> list[str]:
+def _offset_line(result: PEMResult) -> list[str]:
     """Offsets of the first experiments and outputs, with their errors, where any was estimated."""
     values, errors = np.ravel(result.offsets), np.ravel(result.stderr["offset"])
     if not np.isfinite(errors).any():
@@ -76,14 +82,14 @@ def _offset_line(result: Any) -> list[str]:
     return [f"  offset          {', '.join(pairs)}" + ", ..." * (len(values) > _SHOWN)]
 
 
-def _criteria_line(result: Any) -> str:
+def _criteria_line(result: PEMResult) -> str:
     return f"  BIC             {result.bic:.6g}   (AIC {result.aic:.6g}, log-likelihood {result.loglik:.6g})"
 
 
 # --- tables ----------------------------------------------------------------------------------------------------------
 
 
-def mode_table(model: Any) -> list[list[str]]:
+def mode_table(model: PEMResult) -> list[list[str]]:
     """Cells of a table of modes, a head first; of one input and output with residues and the errors of their sizes."""
     n, stderr = model.order, model.stderr
     count = len(model.poles)
@@ -111,7 +117,7 @@ def mode_table(model: Any) -> list[list[str]]:
     return [head, *rows]
 
 
-def parameter_table(fitted: Any) -> list[list[str]]:
+def parameter_table(fitted: FittedParameters | None) -> list[list[str]]:
     """Cells of a table of the parameters of a model function, a head first; the head alone where there are none."""
     rows = [["parameter", "value", "+-", "[%]", "start"]]
     if fitted is None:
@@ -122,7 +128,7 @@ def parameter_table(fitted: Any) -> list[list[str]]:
     return rows
 
 
-def real_pole_table(model: Any) -> list[list[str]]:
+def real_pole_table(model: PEMResult) -> list[list[str]]:
     """Cells of a table of the real poles, a head first: time constants, of one input and output with residues."""
     n, unit = model.order, model.time_unit or "time"
     poles, constants, stderr = model.real_poles, model.time_constants, model.stderr
@@ -139,7 +145,7 @@ def real_pole_table(model: Any) -> list[list[str]]:
     return [head, *rows]
 
 
-def _delay_line(result: Any) -> list[str]:
+def _delay_line(result: PEMResult) -> list[str]:
     """Delays of the outputs, in predictions and not in `system`."""
     delay, errors = result.delay, result.stderr["delay"]
     if not delay.any():
@@ -155,7 +161,7 @@ def _delay_line(result: Any) -> list[str]:
     return [f"  delay           {', '.join(shown[:_NAMED])}{more}{unit}, in predictions and not in system"]
 
 
-def _input_delay_line(result: Any) -> list[str]:
+def _input_delay_line(result: PEMResult) -> list[str]:
     """Dead times of inputs, in predictions and not in `system`."""
     late = [(name, time) for name, time in zip(result.input_labels, result.input_delay.tolist(), strict=True) if time]
     if not late:
@@ -166,24 +172,24 @@ def _input_delay_line(result: Any) -> list[str]:
     return [f"  dead times      {shown}{more}{unit}, in predictions and not in system"]
 
 
-def counted_poles(result: Any) -> str:
+def counted_poles(result: PEMResult) -> str:
     """How many modes and real poles there are."""
     parts = [counted(result.order, "mode")] * (result.order > 0 or not len(result.real_poles))
     return " and ".join(parts + [counted(len(result.real_poles), "real pole")] * (len(result.real_poles) > 0))
 
 
-def test_table(tests: Any) -> list[list[str]]:
+def test_table(tests: Iterable[HypothesisTest]) -> list[list[str]]:
     """Cells of the tests of structures, a head first."""
     rows = [[test.hypothesis, f"{test.likelihood_ratio:.4g}", str(test.dof), p_value(test.p)] for test in tests]
     return [["hypothesis", "likelihood ratio", "dof", ""], *rows]
 
 
-def _listed(labels: Any) -> str:
+def _listed(labels: Sequence[str]) -> str:
     shown = ", ".join(repr(label) for label in labels[:_NAMED])
     return shown + f" and {len(labels) - _NAMED} more" * (len(labels) > _NAMED)
 
 
-def _channel_lines(result: Any) -> list[str]:
+def _channel_lines(result: PEMResult) -> list[str]:
     """What was measured."""
     records = [experiment.record for experiment in result.experiments]
     missing = sum(int((~record.observed).sum()) for record in records)
@@ -198,11 +204,12 @@ def _channel_lines(result: Any) -> list[str]:
     return [f"  record          {several}{samples} samples, {step_of(records[0])}{tail}{between}", *measured]
 
 
-def _background_line(result: Any) -> list[str]:
+def _background_line(result: PEMResult) -> list[str]:
     """What a fit of responses has beside its modes, and `system` has not; nothing where that is small."""
     shares = [np.zeros(0)]
     for experiment in result.experiments if result.order else ():
-        omega = experiment.record.omega
+        record: Any = experiment.record
+        omega = record.omega
         if result.window is not None:
             modes = result.estimated_response(omega)
         else:

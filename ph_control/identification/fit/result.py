@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
+import control as ct
 import numpy as np
 
 from ... import _checks
@@ -24,10 +25,18 @@ from ...plotting.fit_plot import fit_plot
 from ...plotting.frf_plot import frf_plot, nyquist_plot
 from ...plotting.shape_plot import circle_plot, mac_plot, over_inputs, shape_plot
 from ...plotting.validation_plot import hypothesis_plot, stabilisation_plot
+from ..data.channels import Recording, ResponseMatrix
+from ..data.frequency_record import FrequencyRecord
+from ..data.time_record import Record
 from ..diagnosis.verdict import CUT_SHORT, Outcome
-from ..estimates.stabilisation import Stabilisation, compared
-from ..regression.prediction import chosen_experiment, joint_percent, shares_left
+from ..estimates.stabilisation import Orders, Stabilisation, compared
+from ..regression.free_prediction import FittedChannels
+from ..regression.prediction import FittedExperiment, chosen_experiment, joint_percent, shares_left
 from ..uncertainty.draws import intervals
+
+PictureKind = Literal[
+    "fit", "responses", "nyquist", "circles", "shapes", "assurance", "stabilisation", "residuals", "tests"
+]
 
 
 @dataclass(frozen=True)
@@ -57,9 +66,17 @@ class FittedModes(Report, Frozen):
     """What follows from the attributes of a `PEMResult`: views of its modes, comparisons, pictures and files."""
 
     if TYPE_CHECKING:
+        poles: ComplexArray
+        shapes: ComplexArray
+        residues: ComplexArray
+        experiments: tuple[FittedChannels, ...] | tuple[FittedExperiment, ...]
+        outcome: Outcome
+        stderr: Mapping[str, NDArray[Any]]
 
-        def __getattr__(self, name: str) -> Any:
-            """Attributes of the result."""
+        @property
+        def _spare(self) -> int: ...
+
+        def _orders_about(self, most: int) -> Orders: ...
 
     @property
     def natural_frequencies(self) -> Array:
@@ -167,7 +184,7 @@ class FittedModes(Report, Frozen):
         _checks.finite("other", shapes)
         return mac(_compared_shapes(self), shapes)
 
-    def _only(self, name: str) -> Any:
+    def _only(self, name: str) -> FittedChannels | FittedExperiment:
         if len(self.experiments) > 1:
             raise StructureError(
                 f"this fit has {len(self.experiments)} experiments; use experiments[k].{name} for one of them"
@@ -175,7 +192,7 @@ class FittedModes(Report, Frozen):
         return self.experiments[0]
 
     @property
-    def record(self) -> Any:
+    def record(self) -> Record | FrequencyRecord | Recording | ResponseMatrix:
         """The data, of a fit to one experiment."""
         return self._only("record").record
 
@@ -271,7 +288,7 @@ class FittedModes(Report, Frozen):
             damping_tolerance=damping_tolerance, least_mac=least_mac,
         )  # fmt: skip
 
-    def confidence_interval(self, level: float = 0.95) -> Mapping[str, Any]:
+    def confidence_interval(self, level: float = 0.95) -> Mapping[str, NDArray[Any]]:
         """Confidence intervals of the parameters.
 
         Parameters
@@ -343,11 +360,11 @@ class FittedModes(Report, Frozen):
         self,
         experiment: int = 0,
         *,
-        kind: str = "fit",
+        kind: PictureKind = "fit",
         output: int | None = None,
         input: int | None = None,
         **kwargs: Any,
-    ) -> Any:
+    ) -> ct.ControlPlot:
         """Picture of one measured and predicted output with the residual below; of a response, over frequency.
 
         Parameters
@@ -389,7 +406,7 @@ class FittedModes(Report, Frozen):
             "assurance": mac_plot, "stabilisation": stabilisation_plot, "residuals": residual_plot,
             "tests": hypothesis_plot,
         }  # fmt: skip
-        if _checks.choice("kind", kind, ("fit", *pictures)) != "fit":
+        if _checks.choice("kind", kind, get_args(PictureKind)) != "fit":
             given: dict[str, dict[str, Any]] = {
                 "circles": {"output": output, "input": input},
                 "residuals": {"experiment": experiment},

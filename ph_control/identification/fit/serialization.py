@@ -7,17 +7,16 @@ from dataclasses import fields as fields_of
 from dataclasses import is_dataclass, replace
 from enum import Enum
 from types import NoneType, UnionType
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from ..._choices import STRUCTURES
+from ..._options import DISCRETISATIONS, INTERPOLATIONS, STRUCTURES
 from ..._types import Array
 from ..._units import DERIVATIVES, SECONDS
 from ...exceptions import StructureError
 from ...io.codecs import Codec, system_from_dict
 from ...io.json_format import Fields
-from ...modal.discretization import INTERSAMPLE, METHODS
 from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.line_errors import LineErrors
@@ -35,7 +34,7 @@ from .result import OrderRow
 
 _KEYS = {"u": "input", "y": "output", "outcome": "verdict"}  # fields under another name in a document
 _WORDS = {
-    "method": METHODS, "intersample": INTERSAMPLE, "quantity": QUANTITIES,
+    "method": DISCRETISATIONS, "intersample": INTERPOLATIONS, "quantity": QUANTITIES,
     "time_unit": SECONDS, "structure": (*STRUCTURES, PARAMETRIC),
 }  # fmt: skip
 # older files do not have them, or they are left out where there is nothing to say
@@ -141,10 +140,17 @@ def _scalar(fields: Fields, key: str, name: str, kind: Any) -> Any:
         readers: dict[type, Callable[[str], Any]] = {int: fields.integer, bool: fields.flag}
         return readers[kind](key)
     text = fields.text(key)
-    allowed = [member.value for member in kind] if issubclass(kind, Enum) else _WORDS.get(name, (text,))
+    allowed = _allowed_texts(name, kind) or (text,)
     if text not in allowed:
         raise StructureError(f"{key} is {text!r}; it must be one of {', '.join(map(repr, allowed))}")
-    return kind(text)
+    return text if get_origin(kind) is Literal else kind(text)
+
+
+def _allowed_texts(name: str, kind: Any) -> Sequence[str]:
+    """Texts that a field may have, by its type or its name; none where it may have any."""
+    if get_origin(kind) is Literal:
+        return get_args(kind)
+    return [member.value for member in kind] if issubclass(kind, Enum) else tuple(_WORDS.get(name, ()))
 
 
 def _places(fields: Fields, name: str, count: int | None = None) -> tuple[int, ...]:

@@ -11,20 +11,19 @@ import control as ct
 import numpy as np
 
 from ... import _checks
-from ..._choices import CRITERIA
 from ..._display import Report
 from ..._frozen import Frozen
+from ..._options import CRITERIA, DISCRETISATIONS, INITIAL_STATES, INTERPOLATIONS_OR_AUTO, Criterion
 from ..._threads import on_one_thread
 from ..._types import Array, Indices, Mask
 from ..._units import common_unit, unit_for
 from ..._workers import check_workers
 from ...exceptions import IdentificationError, StructureError
-from ...modal.discretization import INTERSAMPLE, METHODS
 from ...plotting.validation_plot import order_selection_plot
 from ..data.channels import refuse_still
 from ..data.experiments import as_channels
 from ..data.quantities import checked_quantities, quantity_of
-from ..search.channel_rows import RowOptions
+from ..search.channel_rows import Experiments, RowOptions
 from ..search.path import FreePath, SearchOptions
 from ..search.progress import Callback, reporter
 from ..search.starting_poles import poles_of
@@ -73,7 +72,7 @@ class OrderSelection(Report, Frozen):
     held_out: int
     time_unit: str | None = None
 
-    def chosen(self, criterion: str = "bic") -> int:
+    def chosen(self, criterion: Criterion = "bic") -> int:
         """Order that a criterion chooses.
 
         Parameters
@@ -118,7 +117,7 @@ class OrderSelection(Report, Frozen):
     def _headline(self) -> str:
         return f"orders {self.orders[0]} to {self.orders[-1]}, BIC chooses {self.chosen('bic')}"
 
-    def plot(self, criterion: str = "bic", **kwargs: Any) -> ct.ControlPlot:
+    def plot(self, criterion: Criterion = "bic", **kwargs: Any) -> ct.ControlPlot:
         """Stabilisation diagram, and the criteria beside it.
 
         Parameters
@@ -242,20 +241,18 @@ def order_selection(
     part = _part(holdout)
     check_workers(workers)
     quantity = options.get("quantity") or quantity_of(data)
-    channels: Any = as_channels(data, dt, weights=weights)
+    channels = as_channels(data, dt, weights=weights)
     quantities = checked_quantities(quantity, channels[0].output_labels)
-    moving = (
-        _checks.choice("initial_state", options.get("initial_state", "estimate"), ("estimate", "zero")) == "estimate"
-    )
-    hold = _checks.choice("intersample", options.get("intersample", "auto"), ("auto", *INTERSAMPLE))
-    method = _checks.choice("method", options.get("method", "exact"), METHODS)
+    moving = _checks.choice("initial_state", options.get("initial_state", "estimate"), INITIAL_STATES) == "estimate"
+    hold = _checks.choice("intersample", options.get("intersample", "auto"), INTERPOLATIONS_OR_AUTO)
+    method = _checks.choice("method", options.get("method", "exact"), DISCRETISATIONS)
     offset = options.get("offset", "auto")
     _checks.flag_or_auto("offset", offset)
     refuse_still(channels, moving)
 
     form = RowOptions(quantities, hold, int(bool(offset)), moving, method)
 
-    def path_for(channels: Any) -> FreePath:
+    def path_for(channels: Experiments) -> FreePath:
         return FreePath.of(channels, form)
 
     path = path_for(channels)

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import control as ct
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 from scipy.special import ndtri
 
-from ...plotting.style import ZERO, FrameStyle, Look, picture
+from ...plotting.style import ZERO, AxesGiven, FrameStyle, Look, picture
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from .control_chart import ControlChart
 
 _NAMED = 8  # modes up to which there is a legend
 _BARS = float(ndtri(0.975))
 
 
-def chart_plot(chart: Any, ax: Any = None, **style: Unpack[FrameStyle]) -> ct.ControlPlot:
+def chart_plot(chart: ControlChart, ax: AxesGiven = None, **style: Unpack[FrameStyle]) -> ct.ControlPlot:
     """Cumulative sum with its limit, above the shifts of the frequencies with 95 % bars."""
     look = Look.of(style, FrameStyle)
     with look.context():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import control as ct
 import numpy as np
@@ -18,6 +18,11 @@ from .control_chart import ControlChart
 from .recording_scores import chart_of_recordings
 from .recordings import Modes
 from .tracking import ModeTracks, followed
+
+if TYPE_CHECKING:
+    import pandas
+
+TableKind = Literal["tracks", "changes"]
 
 _SHOWN = 40  # rows, beyond which the middle of a table is left out
 _WIDEST = 40  # letters of a message in a table
@@ -67,7 +72,7 @@ class FitTable(Report, Frozen):
         """Rows of the recordings that could not be fitted, with their messages."""
         return self.table[self.table["order"] < 0]
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> pandas.DataFrame:
         """Table as a data frame of pandas.
 
         Returns
@@ -212,7 +217,7 @@ class FitTable(Report, Frozen):
                 raise StructureError(f"{name} is {_checks.shown(value)}; expected a number above 0, up to {most:g}")
         return chart_of_recordings(self, float(false_alarms), float(shift))
 
-    def plot(self, *, kind: str = "tracks", **kwargs: Any) -> ct.ControlPlot:
+    def plot(self, *, kind: TableKind = "tracks", **kwargs: Any) -> ct.ControlPlot:
         """Natural frequencies and damping ratios against the recordings, or the control chart of their changes.
 
         Parameters
@@ -236,7 +241,7 @@ class FitTable(Report, Frozen):
         --------
         See `ModeTracks`, and `FitTable.changes`.
         """
-        if _checks.choice("kind", kind, ("tracks", "changes")) == "changes":
+        if _checks.choice("kind", kind, get_args(TableKind)) == "changes":
             return self.changes().plot(**kwargs)
         return self.track().plot(**kwargs)
 

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from ... import _checks
 from ..._types import Array
-from ...plotting.style import BAND, DOTS, FrameStyle, Look, labelled, picture
+from ...plotting.style import BAND, DOTS, AxesGiven, FrameStyle, Look, labelled, picture
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -24,7 +24,7 @@ _PANELS = 5  # of frequencies
 
 
 def tracks_plot(
-    tracks: Sequence[np.recarray], loose: np.recarray, unit: str, *, relative: bool, level: float, ax: Any = None,
+    tracks: Sequence[np.recarray], loose: np.recarray, unit: str, *, relative: bool, level: float, ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:  # fmt: skip
     """Frequencies above damping ratios of the rows of each mode, with bands; loose rows as dots."""

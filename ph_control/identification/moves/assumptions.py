@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..._options import Discretisation, Interpolation, InterpolationOrAuto
 from ..._types import Array, ComplexArray
 from ..data.channels import Recording
 from ..growth.ending import end_of_search, finished
@@ -74,7 +75,7 @@ class Assumptions:
     """
 
     quantities: Sequence[str] | None = None
-    intersample: str = "auto"
+    intersample: InterpolationOrAuto = "auto"
     offset: bool | str = True
     moving: bool = True
     max_order: int = 40
@@ -84,7 +85,7 @@ class Assumptions:
     real_poles: int | str = "auto"
     delay: Array | None = None
     input_delay: Array | None = None
-    method: str = "exact"
+    method: Discretisation = "exact"
     doubted: bool = True
     beside: Callable[..., FreeFit] = alone
     white: bool = False
@@ -114,7 +115,7 @@ class Search:
     automatic: bool
 
     @property
-    def held(self) -> str | None:
+    def held(self) -> Interpolation | None:
         """How inputs are held between samples; None where the data tell."""
         return None if self.assumptions.intersample == "auto" else self.assumptions.intersample
 
@@ -125,7 +126,11 @@ class Search:
         return Orders(0 if self.automatic else self.most, self.most, real if isinstance(real, int) else None)
 
     def path(
-        self, channels: Experiments, late: Lateness | None = None, terms: int | None = None, hold: str | None = None
+        self,
+        channels: Experiments,
+        late: Lateness | None = None,
+        terms: int | None = None,
+        hold: InterpolationOrAuto | None = None,
     ) -> FreePath:
         """Begin a path with the delays, offset and hold that are assumed, or with others."""
         given = self.assumptions

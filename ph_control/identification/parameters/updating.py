@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from scipy.special import chdtrc
@@ -29,7 +29,7 @@ from .model_function import ModelFunction
 from .pairing import followed, paired
 from .physical_modes import PhysicalModes
 
-QUANTITIES = ("natural_frequencies", "damping_ratios", "residues", "shapes")
+ModalQuantity = Literal["natural_frequencies", "damping_ratios", "residues", "shapes"]
 _RANK = 1e-9  # of the largest eigenvalue of the correlations: a direction that the fit has fixed
 _SETTLED = 1e-6  # of the sum of squares, whose standard deviation is at least 1: a decrease that is none
 _ROUNDS = 19
@@ -155,7 +155,7 @@ class ModelUpdate(Report, Frozen):
 
 
 def update_model(
-    f: Any, theta0: Any, result: Any, *, bounds: Any = None, quantities: Sequence[str] | None = None,
+    f: Any, theta0: Any, result: Any, *, bounds: Any = None, quantities: Sequence[ModalQuantity] | None = None,
     outputs: Any = None, modes: Any = None, prior: ArrayLike | None = None,
 ) -> ModelUpdate:  # fmt: skip
     """Parameters of a computed model that bring its modes to those of a fit, with errors.
@@ -265,10 +265,11 @@ class _FittedTarget:
         chosen = default if quantities is None else quantities
         if not isinstance(chosen, list | tuple) or not chosen:
             raise StructureError(
-                f"quantities are {_checks.shown(quantities)}; pass a list of some of {', '.join(QUANTITIES)}"
+                f"quantities are {_checks.shown(quantities)}; pass a list of some of "
+                f"{', '.join(get_args(ModalQuantity))}"
             )
         for name in chosen:
-            _checks.choice("quantities", name, QUANTITIES)
+            _checks.choice("quantities", name, get_args(ModalQuantity))
         if "residues" in chosen and not (alike and m):
             raise StructureError(f"residues need the {m} inputs of the fit in the model as well; compare shapes")
         size = p * m

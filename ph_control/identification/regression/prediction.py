@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from ..data.time_record import Record
 from .modal_regressors import output_weight
 
 _POWERS = range(-2, 3)  # of s, in a background
+Experiment = TypeVar("Experiment")
 Pairs = Sequence[tuple[Any, NDArray[Any]]]  # records, and what a model predicts of each
 
 
@@ -303,7 +304,7 @@ def output_gain(modes: ModalForm, quantity: str) -> ComplexArray:
     return np.asarray(modes.d * modes.nu[:, 0].conj() * output_weight(modes.d, quantity)[0])
 
 
-def chosen_experiment(experiments: Sequence[Any], place: Any) -> Any:
+def chosen_experiment(experiments: Sequence[Experiment], place: Any) -> Experiment:
     """One of several by its number."""
     whole = isinstance(place, int | np.integer) and not isinstance(place, bool)
     if not (whole and 0 <= place < len(experiments)):

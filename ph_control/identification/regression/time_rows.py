@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
+from ..._options import Interpolation
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ...modal.discretization import Hold
 from .modal_regressors import SHORT, GroupStates, Kernel, ModalColumns, SampledModes, in_groups
@@ -317,7 +318,7 @@ class FreeRecord:
         drift = own[-2] if self.offset > 1 else none
         return (own[-1] - first * drift if self.offset else none), drift / self.hold.h
 
-    def held(self, intersample: str) -> FreeRecord:
+    def held(self, intersample: Interpolation) -> FreeRecord:
         """The record with inputs that behave otherwise between the samples."""
         record = replace(self, hold=replace(self.hold, intersample=intersample))
         return record.delayed(self.delay_time)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..._options import Discretisation, InterpolationOrAuto
 from ..._types import Array, Mask
 from ...exceptions import StructureError
 from ...modal.discretization import Hold
@@ -42,10 +43,10 @@ class RowOptions:
     """
 
     quantities: Sequence[str] | None = None
-    intersample: str = "auto"
+    intersample: InterpolationOrAuto = "auto"
     offset: int = 1
     moving: bool = True
-    method: str = "exact"
+    method: Discretisation = "exact"
     late: Lateness | None = None
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from ..._checks import EPS
-from ..._choices import HYPOTHESES
 from ..._display import p_value, to_its_error
+from ..._options import HYPOTHESES
 from ..._types import Array, ComplexArray, NDArray
 from ..._units import hertz_size
 from ..regression.modal_regressors import SampledModes

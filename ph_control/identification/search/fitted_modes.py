@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..._frozen import Frozen
+from ..._options import Discretisation, Interpolation
 from ..._types import Array, ComplexArray, Mask
 from ..data.channels import ResponseMatrix
 from ..regression.free import FreeProjection, Lateness
@@ -112,13 +113,13 @@ class FreeFit(Frozen):
         return any(getattr(channel, "window", None) is not None for channel in self.channels)
 
     @property
-    def intersample(self) -> str:
+    def intersample(self) -> Interpolation:
         """Behaviour of the inputs between samples; 'zoh' for response matrices, which have none."""
         rows = self.projection.experiments[0]
         return rows.hold.intersample if isinstance(rows, FreeRecord) else "zoh"
 
     @property
-    def method(self) -> str:
+    def method(self) -> Discretisation:
         """Discretisation by which the modes meet the samples."""
         rows = self.projection.experiments[0]
         return rows.hold.method if isinstance(rows, FreeRecord) else "exact"

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..._checks import EPS
+from ..._options import Interpolation
 from ..._types import Array, ComplexArray, Indices
 from ...modal.discretization import Hold
 from ..regression.elimination import orthogonal, tolerance, without
@@ -271,7 +272,7 @@ class Records(FreeSearch):
         """The bins about the modes of long records."""
         return [FreeWindow.thinned(spectrum, p) for spectrum in self.spectra] if self.windowed else self.data
 
-    def held(self, intersample: str) -> Records:
+    def held(self, intersample: Interpolation) -> Records:
         """The same with inputs held otherwise between the samples."""
         return replace(self, data=[record.held(intersample) for record in self.data])
 

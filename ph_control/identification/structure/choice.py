@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..._choices import STRUCTURES
+from ..._options import STRUCTURES
 from ..diagnosis.verdict import HypothesisTest
 from ..parameters.model_function import ModelFunction
 from ..regression.tuning import TUNING

@@ -16,8 +16,8 @@ from scipy.linalg import lapack
 from scipy.optimize import nnls
 
 from ..._checks import EPS
-from ..._choices import HYPOTHESES
 from ..._frozen import Frozen
+from ..._options import HYPOTHESES
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..data.windowed import crossed_scores, share_errors
 from ..parameters.fitted_parameters import FittedParameters, ParametricPoint

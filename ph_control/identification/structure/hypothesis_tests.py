@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ..._checks import EPS
-from ..._choices import HYPOTHESES
+from ..._options import HYPOTHESES
 from ..data.windowed import share_errors
 from ..diagnosis.verdict import HypothesisTest
 from ..regression.free import FreeProjection, GivenResidues

@@ -14,7 +14,7 @@ the one is inverted, and the other goes beyond the modes that the port reaches, 
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from ..data.time_record import Record
 from ..regression.modal_regressors import output_weight
 from ..regression.prediction import chosen_experiment
 
-FORMS = ("ph", "ch", "oh")
+StateForm = Literal["ph", "ch", "oh"]
 
 _ENOUGH = 6.0  # decimal digits of the motion that a state should carry
 
@@ -34,7 +34,7 @@ _ENOUGH = 6.0  # decimal digits of the motion that a state should carry
 class InCoordinates:
     """Initial states of a result in the coordinates of its forms."""
 
-    def initial_state_in(self: Any, form: str, experiment: int = 0) -> Array:
+    def initial_state_in(self: Any, form: StateForm, experiment: int = 0) -> Array:
         """Initial state in the coordinates of another form of the model, with the same output.
 
         Parameters
@@ -80,7 +80,7 @@ class InCoordinates:
         >>> bool(np.allclose(again.outputs, y, atol=1e-9))
         True
         """
-        _checks.choice("form", form, FORMS)
+        _checks.choice("form", form, get_args(StateForm))
         experiment_fit = chosen_experiment(self.experiments, experiment)
         if not isinstance(experiment_fit.record, Record):
             raise StructureError("a frequency response has no initial state; only records in time have one")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import control as ct
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ... import _checks
 from ..._display import Report, counted, percent
 from ..._frozen import Frozen
+from ..._options import ComparedState, Discretisation, Interpolation, InterpolationOrAuto
 from ..._types import Array
 from ..._units import parted, unit_for
 from ...exceptions import StructureError
@@ -252,9 +253,9 @@ def compare(
     data: Any,
     *models: Any,
     dt: Any = None,
-    method: str = "exact",
-    intersample: str = "auto",
-    initial_state: str = "estimate",
+    method: Discretisation = "exact",
+    intersample: InterpolationOrAuto = "auto",
+    initial_state: ComparedState = "estimate",
     offset: bool = False,
     weights: Any = None,
     labels: str | Sequence[str] | None = None,
@@ -362,7 +363,8 @@ def compare(
       plant         88.88 %     0.6437
     """
     automatic = isinstance(intersample, str) and intersample == "auto"
-    rules = Rules(method, "zoh" if automatic else intersample, initial_state, offset, checked_horizon(horizon))
+    hold: Interpolation = "zoh" if automatic else cast(Interpolation, intersample)
+    rules = Rules(method, hold, initial_state, offset, checked_horizon(horizon))
     if automatic:
         fits = (model for model in models if isinstance(model, PEMResult))
         holds = (fit.intersample for fit in fits if getattr(fit, "method", "exact") == method)

@@ -20,10 +20,11 @@ from ...exceptions import StructureError
 from ...plotting.style import imaginary_is_turned, told_gain_unit
 from ..fit.pem_result import PEMResult
 from ..fit.report import parameter_table, real_pole_table, test_table
+from ..fit.result import PictureKind
 from ..regression.prediction import shares_left
 
 # kind of picture, its heading, and what it shows
-_PICTURES = (
+_PICTURES: tuple[tuple[PictureKind, str, str], ...] = (
     ("fit", "Measured and predicted", "The data, the model, and below what the model leaves unexplained."),
     ("responses", "Frequency responses", "Of the model and of the data."),
     ("nyquist", "Nyquist curves", "Imaginary over real part of the model and of the data."),
@@ -113,13 +114,13 @@ def _anchor(heading: str) -> str:
 
 def _titles(result: PEMResult) -> list[str]:
     """What the data are called, as the files they were read from."""
-    return list(dict.fromkeys(one.record.title for one in result.experiments if one.record.title))
+    return list(dict.fromkeys(experiment.record.title for experiment in result.experiments if experiment.record.title))
 
 
 # --- sections --------------------------------------------------------------------------------------------------------
 
 
-def _summary(result: PEMResult, kind: str) -> list[str]:
+def _summary(result: PEMResult, kind: PictureKind) -> list[str]:
     """What the result is, its modes and time constants with their errors, what was found, and one picture."""
     title, *lines = result._lines()
     facts = [[line[_NAME].strip(), line[_NAME.stop :].strip()] for line in lines]
@@ -129,8 +130,8 @@ def _summary(result: PEMResult, kind: str) -> list[str]:
     parts += [_with_errors(table) for table in tables if len(table) > 1]
     sentences = _sentences(result)
     more = [f'<a href="#{_anchor(_FINDINGS)}">and {len(sentences) - _FIRST} more</a>'] * (len(sentences) > _FIRST)
-    found = [*map(escaped, sentences[:_FIRST]), *more]
-    parts += ["<h3>What the data show</h3>", _listed(found)] if found else []
+    items = [*map(escaped, sentences[:_FIRST]), *more]
+    parts += ["<h3>What the data show</h3>", _listed(items)] if items else []
     heading, caption = next((heading, text) for name, heading, text in _PICTURES if name == kind)
     return [*parts, f"<h3>{escaped(heading)}</h3>", *_pictures(result, kind, caption, 1)]
 
@@ -207,7 +208,7 @@ def _version(name: str) -> str:
 # --- pictures --------------------------------------------------------------------------------------------------------
 
 
-def _kind_that_matters(result: PEMResult) -> str:
+def _kind_that_matters(result: PEMResult) -> PictureKind:
     """Picture of the first page."""
     if np.iscomplexobj(result.predicted):
         return "nyquist" if _is_impedance(result) else "responses"
@@ -216,7 +217,7 @@ def _kind_that_matters(result: PEMResult) -> str:
     return "responses" if result.order and result.input_labels else "fit"
 
 
-def _is_single(result: PEMResult, kind: str) -> bool:
+def _is_single(result: PEMResult, kind: PictureKind) -> bool:
     """Whether one picture of a kind is all there is of it."""
     return kind != "fit" or (len(result.experiments) == 1 and len(result.output_labels) == 1)
 
@@ -225,7 +226,7 @@ def _is_impedance(result: PEMResult) -> bool:
     return imaginary_is_turned(None, [told_gain_unit(result.experiments[0].record)])
 
 
-def _applies(result: PEMResult, kind: str) -> bool:
+def _applies(result: PEMResult, kind: PictureKind) -> bool:
     """Whether a kind of picture says anything of such a plant and such data."""
     if kind in _OF_MODES and not result.order:
         return False
@@ -239,7 +240,7 @@ def _applies(result: PEMResult, kind: str) -> bool:
     return not (kind == "fit" and np.iscomplexobj(result.predicted))
 
 
-def _pictures(result: PEMResult, kind: str, caption: str, most: int | None = None) -> list[str]:
+def _pictures(result: PEMResult, kind: PictureKind, caption: str, most: int | None = None) -> list[str]:
     """Pictures of one kind, at most so many, or why there is none."""
     several = kind in ("fit", "residuals")
     experiments = range(min(len(result.experiments), most or _EXPERIMENTS) if several else 1)
@@ -264,12 +265,12 @@ def _pictures(result: PEMResult, kind: str, caption: str, most: int | None = Non
 def _worst_outputs(result: PEMResult, experiment: int, most: int) -> Sequence[int]:
     """Outputs to draw, all or those that are explained worst, in their order."""
     fitted = result.experiments[experiment]
-    left = np.ravel(shares_left([(fitted.record, fitted.predicted)]))
-    worst = np.argsort(np.nan_to_num(-left, nan=np.inf), kind="stable")[:most]
+    shares = np.ravel(shares_left([(fitted.record, fitted.predicted)]))
+    worst = np.argsort(np.nan_to_num(-shares, nan=np.inf), kind="stable")[:most]
     return sorted(worst.tolist())
 
 
-def _picture(result: PEMResult, kind: str, experiment: int, chosen: dict[str, Any], caption: str) -> str:
+def _picture(result: PEMResult, kind: PictureKind, experiment: int, chosen: dict[str, Any], caption: str) -> str:
     content = BytesIO()
     with rc_context({"svg.hashsalt": kind}):
         drawn = result.plot(experiment, kind=kind, **chosen)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ... import _checks
 from ..._display import Report, p_value, percent
 from ..._frozen import Frozen
+from ..._options import ComparedState, Discretisation, Interpolation
 from ..._types import Array, Indices
 from ..._units import unit_for
 from ...exceptions import StructureError
@@ -288,9 +289,9 @@ def residual_analysis(
     model: Any,
     *,
     dt: Any = None,
-    method: str = "exact",
-    intersample: str = "zoh",
-    initial_state: str = "estimate",
+    method: Discretisation = "exact",
+    intersample: Interpolation = "zoh",
+    initial_state: ComparedState = "estimate",
     offset: bool = False,
     weights: Any = None,
     lags: int | None = None,

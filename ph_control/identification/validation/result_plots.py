@@ -7,6 +7,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from ..._options import Criterion
 from ...exceptions import StructureError
 from ...plotting.validation_plot import channel_correlations, residual_panels_plot
 from ..fit.pem_result import PEMResult
@@ -121,7 +122,7 @@ def _residuals_of_channels(result: PEMResult, experiment: int, style: dict[str, 
     return residual_panels_plot(panels, f"Autocorrelation of the residuals{part}", folded=True, **style)
 
 
-def order_plot(selection: OrderSelection, criterion: str = "bic", **kwargs: Any) -> ct.ControlPlot:
+def order_plot(selection: OrderSelection, criterion: Criterion = "bic", **kwargs: Any) -> ct.ControlPlot:
     """Stabilisation diagram: the natural frequencies of each order, and the criteria beside it.
 
     Parameters

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
+from ..._options import COMPARED_STATES, DISCRETISATIONS, INTERPOLATIONS, ComparedState, Discretisation, Interpolation
 from ..._types import Array, ComplexArray, Indices
 from ...analysis.spectral_window import estimated_response
 from ...analysis.time_response import forced_response
 from ...exceptions import StructureError
-from ...modal.discretization import INTERSAMPLE, METHODS, Hold, MatrixStep
+from ...modal.discretization import Hold, MatrixStep
 from ...modal.modal_form import ModalForm, imaginary
 from ...modal.propagation import step_through
 from ...numerics.invariant_subspaces import equilibrated
@@ -78,16 +79,16 @@ class Rules:
     Outputs are predicted a `horizon` of steps ahead by models with a noise, and simulated without one.
     """
 
-    method: str
-    intersample: str
-    initial_state: str
+    method: Discretisation
+    intersample: Interpolation
+    initial_state: ComparedState
     offset: bool
     horizon: int | None = None
 
     def __post_init__(self) -> None:
-        _checks.choice("method", self.method, METHODS)
-        _checks.choice("intersample", self.intersample, INTERSAMPLE)
-        _checks.choice("initial_state", self.initial_state, ("estimate", "zero", "fitted"))
+        _checks.choice("method", self.method, DISCRETISATIONS)
+        _checks.choice("intersample", self.intersample, INTERPOLATIONS)
+        _checks.choice("initial_state", self.initial_state, COMPARED_STATES)
         _checks.flags(offset=self.offset)
 
     def hold(self, dt: float) -> Hold:

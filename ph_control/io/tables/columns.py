@@ -80,7 +80,7 @@ class Table:
         """Name a row."""
         return f"row {row}"
 
-    def at(self, row: int, column: int) -> str:
+    def place_of(self, row: int, column: int) -> str:
         """Name a place: file, line and column."""
         return f"{self.path}, {self.line(row)}, {self.name(column)}"
 
@@ -99,7 +99,7 @@ class Table:
         if wrong.any():
             row = int(np.argmax(wrong))
             shown = message if values is None else message.format(values[row])
-            raise FileFormatError(f"{self.at(row, column)}: {shown}")
+            raise FileFormatError(f"{self.place_of(row, column)}: {shown}")
 
     def only(self, columns: list[int], role: str) -> int | None:
         """Return the one column that may have a role, if there is any."""

@@ -240,9 +240,9 @@ def _place_of_labels(rows: Sequence[tuple[int, list[str], str]]) -> int:
     """Which of the lines of words above a table, the nearest first, holds the labels."""
     if len(rows) > 1:
         nearest, above = ([_unit(word) for word in words] for _, words, _ in rows[:2])
-        told = 0 if any(map(is_time_label, rows[0][1])) else sum(map(bool, nearest))
+        labelled = 0 if any(map(is_time_label, rows[0][1])) else sum(map(bool, nearest))
         if None not in nearest or (
-            told and 2 * told >= sum(unit != "" for unit in nearest) and told > sum(map(bool, above))
+            labelled and 2 * labelled >= sum(unit != "" for unit in nearest) and labelled > sum(map(bool, above))
         ):
             return 1
     known = (k for k, (_, words, letters) in enumerate(rows) if "n" not in letters and any(map(is_time_label, words)))
@@ -261,8 +261,8 @@ def _unit(word: str) -> str | None:
 def _units(words: Sequence[str], below: Sequence[str], layout: Layout) -> list[str] | None:
     """Units of the columns if at least half of the words are such, above columns of numbers; else None."""
     units = [_unit(word) for word in words]
-    told = [unit for unit in units if unit]
-    if not told or 2 * len(told) < sum(unit != "" for unit in units):
+    known = [unit for unit in units if unit]
+    if not known or 2 * len(known) < sum(unit != "" for unit in units):
         return None
     # a column with a unit holds numbers: letters above letters are a row of the table
     rows = [layout.kinds(row) for row in below if row.strip() and not _is_comment(row, layout)]

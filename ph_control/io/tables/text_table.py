@@ -18,6 +18,7 @@ import numpy as np
 
 from ... import _checks
 from ..._display import counted
+from ..._options import DECIMAL_MARKS
 from ..._types import Array
 from ...exceptions import FileFormatError, StructureError
 from .columns import Table
@@ -80,7 +81,7 @@ class TextTable(Table):
         seconds, wrong = seconds_since_first(fields)
         if wrong is not None:
             example = f"is no instant as {fields[0]!r} in line {self.line_numbers[0]} is; correct it"
-            raise FileFormatError(f"{self.at(wrong, column)}: {fields[wrong][:60]!r} {example}, or drop the row")
+            raise FileFormatError(f"{self.place_of(wrong, column)}: {fields[wrong][:60]!r} {example}, or drop the row")
         return seconds, "s"
 
     def line(self, row: int) -> str:
@@ -135,7 +136,7 @@ class TextTable(Table):
         if text.casefold() in MISSING:
             return math.nan
         hint = "; put # in front of the line if it holds units" if row == 0 and self.labels else ""
-        raise FileFormatError(f"{self.at(row, column)}: {_what_is_wrong(text, self.decimal)}{hint}")
+        raise FileFormatError(f"{self.place_of(row, column)}: {_what_is_wrong(text, self.decimal)}{hint}")
 
 
 @dataclass(frozen=True)
@@ -253,7 +254,7 @@ def _check_layout(header: Any, delimiter: Any, decimal: Any) -> None:
     if delimiter is not None and (not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter in '"\n\r.'):
         raise StructureError(f"delimiter is {delimiter!r}; it must be one character, such as ',' or ';' or a tab")
     if decimal is not None:
-        _checks.choice("decimal", decimal, (".", ","))
+        _checks.choice("decimal", decimal, DECIMAL_MARKS)
 
 
 def text_lines(data: bytes, name: str) -> list[str]:
