@@ -36,7 +36,7 @@ def experiments(*sizes, seed=0):
 @pytest.fixture(scope="module")
 def fits():
     """Fits to a quiet and a loud experiment, and to the quiet alone."""
-    data = [experiments(0.02, 0.5, seed=seed) for seed in range(2)]
+    data = [experiments(0.02, 0.5, seed=seed) for seed in range(3)]
     return [(phc.pem(pair, dt=STEP, ports=[(0, 0)]), phc.pem(pair[:1], 3, dt=STEP, ports=[(0, 0)])) for pair in data]
 
 
