@@ -23,7 +23,7 @@ from ..numerics.rational import state_space
 from ..systems.base import Convertible, inherited_names
 from ..systems.passive_form import joined, lossless_parts, minimal_part
 from ..systems.port_hamiltonian import PortHamiltonian, ph
-from .closest_passive import Closest, FixedPoles, closest_passive
+from .interior_point import Closest, FixedPoles, closest_passive
 
 Metric = Literal["covariance", "h2"]
 Weight = Metric | tuple[Array, Array]  # frequencies and the weights there

@@ -21,7 +21,7 @@ from ..systems.base import Convertible, inherited_names
 from ..systems.dissipative import parts_of, restored
 from ..systems.passive_form import PortRows, joined, lossless_parts, minimal_part, stored_parts
 from ..systems.port_hamiltonian import PortHamiltonian, ph
-from .closest_passive import FixedPoles, closest_passive
+from .interior_point import FixedPoles, closest_passive
 from .modal_truncation import Parts, Wanted, lossless_truncated, matrices_of, projected, truncated, with_unit_energy
 from .optimal import Full, Matrices, best_passive, stationary_models
 

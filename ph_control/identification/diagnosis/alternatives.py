@@ -10,7 +10,7 @@ import numpy as np
 from ..._types import Array
 from ..data.channels import Channels, Recording
 from ..regression.tuning import TUNING
-from ..search.circumstances import Cause, Finding
+from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from ..uncertainty.residual_tests import is_white
 from .changing_noise import changing_levels, findings_of, level_of

@@ -12,8 +12,9 @@ from ..._types import Array, Indices
 from ..data.channels import Recording
 from ..data.parts import is_long
 from ..regression.time_rows import FreeRecord
-from ..search.circumstances import Cause, Finding, foretold
+from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
+from ..search.whitening import foretold
 from .outliers import outliers, saturation
 from .unequal_noise import experiments_of
 

@@ -18,8 +18,9 @@ from ..regression.spectral_rows import ChannelSpectra, FreeWindow
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.channel_rows import is_short
-from ..search.circumstances import Cause, Finding, foretold, likeliest_ratio, sampled_response
+from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
+from ..search.whitening import foretold, likeliest_ratio, sampled_response
 from ..uncertainty.noise_model import NoiseModel
 from ..uncertainty.residual_tests import is_white
 

@@ -16,7 +16,7 @@ from ..data.channels import Recording
 from ..regression.free import FreeProjection
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from ..search.circumstances import Cause, Finding
+from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from .unequal_noise import experiments_of
 

@@ -16,7 +16,7 @@ from ..data.parts import is_long
 from ..regression.free import FreeProjection, refine_free
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import is_short
-from ..search.circumstances import Cause, Finding
+from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 
 _BY_CHANCE = 1e-4  # probability that a plant that does not change shows such a difference in any mode

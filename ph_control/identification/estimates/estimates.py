@@ -10,8 +10,8 @@ from ..._types import Array, ComplexArray
 from ..diagnosis.fitted_directions import FittedModel
 from ..regression.free_prediction import FittedChannels
 from ..regression.prediction import joint_percent, shares_left
+from .covariance import FittedStructure, covariance_of
 from .experiments import fitted_channels, fitted_shapes, squeezed
-from .fitted_structure import FittedStructure, covariance_of
 from .likelihood import FittedLikelihood
 from .scaled_shapes import ModeShapes
 

@@ -18,7 +18,7 @@ from ..regression.modal_regressors import output_weight
 from ..regression.prediction import FittedExperiment, ResponseBackground, state_of
 from ..regression.time_rows import FreeRecord
 from ..structure.layout import residue_of_unit_weight, weights_of
-from .fitted_structure import FittedStructure, roots
+from .covariance import FittedStructure, roots
 from .scaled_shapes import ModeShapes, shape_errors
 
 _Rows = Iterator[tuple[int, tuple[Any, Any, Any]]]  # place, rows, what belongs to them alone, prediction

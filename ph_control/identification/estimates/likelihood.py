@@ -13,9 +13,9 @@ from ..data.channels import ResponseMatrix
 from ..diagnosis.changing_noise import level_of
 from ..regression.free_prediction import FittedChannels
 from ..regression.prediction import pieces
-from ..search.circumstances import Cause
+from ..search.findings import Cause
 from ..search.fitted_modes import FreeFit
-from .fitted_structure import FittedStructure
+from .covariance import FittedStructure
 
 
 @dataclass(frozen=True, eq=False)

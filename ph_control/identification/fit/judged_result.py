@@ -12,7 +12,7 @@ from ..estimates.estimates import Estimates
 from ..judge.evidence import Evidence
 from ..judge.message import message_of
 from ..parameters.fitted_parameters import FittedParameters
-from ..search.circumstances import Finding
+from ..search.findings import Finding
 from ..structure.choice import Choice, Request
 from ..uncertainty.noise_model import NoiseModel
 from .pem_result import PEMResult

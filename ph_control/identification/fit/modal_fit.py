@@ -19,12 +19,13 @@ from ..moves.free_fit import free_fit
 from ..regression.free import FreeProjection, Lateness, refine_free
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import is_short
-from ..search.circumstances import Cause, Finding
 from ..search.criteria import Orders
+from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from ..search.progress import reporter
-from ..structure.choice import Choice, Request, under_either_hold
+from ..structure.choice import Choice, Request
 from ..structure.hypothesis_tests import is_refused
+from ..structure.input_hold import under_either_hold
 from ..structure.late_outputs import WithDelay, with_late_outputs
 from ..uncertainty.residual_tests import is_white
 from .judged_result import judged

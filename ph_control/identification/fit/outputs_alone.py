@@ -25,7 +25,7 @@ from ..judge.evidence import rejections
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.prediction import FittedExperiment, joint_percent, shares_left
 from ..regression.tuning import TUNING
-from ..search.circumstances import Cause, Finding, sentences_of
+from ..search.findings import Cause, Finding, sentences_of
 from ..search.progress import reporter
 from ..structure.choice import Request
 from ..structure.hypothesis_tests import LEVEL

@@ -38,7 +38,7 @@ from ..data.hammer import contacts_alone
 from ..data.quantities import ports_of, quantity_of
 from ..diagnosis.verdict import WHITE, Outcome
 from ..parameters.model_function import ModelFunction
-from ..search.circumstances import Cause, Finding
+from ..search.findings import Cause, Finding
 from ..search.progress import Callback
 from ..structure.parametric import PARAMETRIC, for_channels
 from .modal_fit import fit_channels

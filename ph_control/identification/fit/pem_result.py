@@ -45,7 +45,7 @@ from ..regression.free_prediction import (
 )
 from ..regression.prediction import FittedExperiment, ResponseBackground, output_gain
 from ..search.channel_rows import RowOptions
-from ..search.circumstances import Cause, Finding
+from ..search.findings import Cause, Finding
 from ..structure.layout import residue_of_unit_weight, weights_of
 from ..structure.parametric import PARAMETRIC
 from ..uncertainty.draws import draw

@@ -14,10 +14,10 @@ from ..regression.free import FreeProjection
 from ..regression.frequency_rows import FURTHER_TERMS, FreeResponse, Term
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from ..search.circumstances import correlations, foretold
 from ..search.fitted_modes import FreeFit, are_broad
 from ..search.free_search import FreeModel, Records, Responses
 from ..search.path import EXACT, FreePath
+from ..search.whitening import correlations, foretold
 from .choosing import chosen
 from .growing import given_real_poles, growing
 

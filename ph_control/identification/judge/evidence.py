@@ -17,7 +17,7 @@ from ..estimates.estimates import Estimates
 from ..excitation.excitation import examine
 from ..regression.free_prediction import FittedChannels
 from ..regression.prediction import FittedExperiment
-from ..search.circumstances import HOLDS, REJECTED, Cause, Finding
+from ..search.findings import HOLDS, REJECTED, Cause, Finding
 from ..search.fitted_modes import FreeFit
 from ..structure.choice import layout_of
 from ..structure.hypothesis_tests import LEVEL

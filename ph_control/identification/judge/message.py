@@ -8,7 +8,7 @@ from ..._display import counted, p_value
 from ..data.channels import Recording
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, Outcome, slower_than_record
 from ..estimates.estimates import Estimates
-from ..search.circumstances import Cause, sentences_of
+from ..search.findings import Cause, sentences_of
 from ..structure.hypothesis_tests import LEVEL
 from .evidence import Evidence
 

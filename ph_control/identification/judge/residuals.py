@@ -17,7 +17,7 @@ from ..diagnosis.outliers import outliers, saturation
 from ..estimates.estimates import Estimates
 from ..regression.free_prediction import FittedChannels
 from ..regression.tuning import TUNING
-from ..search.circumstances import Cause, Finding
+from ..search.findings import Cause, Finding
 from ..uncertainty.residual_data import without_peaks
 from ..uncertainty.residual_tests import ljung_box
 

@@ -21,8 +21,8 @@ from ..regression.elimination import orthogonal, without
 from ..regression.modal_regressors import SampledModes
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from ..search.circumstances import autoregression, correlations
 from ..search.free_search import NoiseOrders
+from ..search.whitening import autoregression, correlations
 
 _TURNS = 8  # of all inputs
 _ROUNDS = 3  # of dead times and noise in turn

@@ -12,8 +12,9 @@ from ..growth.ending import evidence_of_constants, order_of_noise
 from ..regression.elimination import orthogonal, without
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from ..search.circumstances import Cause, Finding, correlations, foretold
+from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
+from ..search.whitening import correlations, foretold
 from .assumptions import Anew
 
 

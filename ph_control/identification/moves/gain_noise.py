@@ -19,7 +19,7 @@ from ..regression.free import FreeProjection
 from ..regression.frequency_rows import FreeResponse
 from ..regression.tuning import TUNING
 from ..search.channel_rows import Experiments
-from ..search.circumstances import Cause, Finding
+from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from ..search.free_search import Responses
 from ..search.path import FreePath

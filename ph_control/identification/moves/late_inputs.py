@@ -13,7 +13,7 @@ from ..regression.free import FreeProjection, Lateness
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.channel_rows import Experiments, is_short
-from ..search.circumstances import Cause, Finding
+from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from ..search.free_search import Records
 from .assumptions import Anew, Search, rows_as_in

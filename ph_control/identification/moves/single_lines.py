@@ -14,7 +14,7 @@ from ..data.channels import ResponseMatrix
 from ..regression.free import FreeProjection
 from ..regression.frequency_rows import FreeResponse
 from ..search.channel_rows import Experiments
-from ..search.circumstances import Cause, Finding
+from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit, count_real_poles
 from ..uncertainty.residual_tests import is_white
 from .assumptions import Assumptions, Fit, alone

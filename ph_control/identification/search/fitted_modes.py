@@ -17,8 +17,8 @@ from ..regression.free import FreeProjection, Lateness
 from ..regression.sections import PoleRegion
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from .circumstances import Finding
 from .criteria import Criteria
+from .findings import Finding
 
 
 @dataclass(frozen=True)

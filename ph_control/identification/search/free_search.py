@@ -26,7 +26,7 @@ from ..regression.spectral_rows import ChannelSpectra, FreeWindow, real_rows
 from ..regression.time_rows import FreeRecord
 from ..regression.triangular import reduced
 from ..regression.tuning import TUNING
-from .circumstances import autoregression, correlations
+from .whitening import autoregression, correlations
 
 _ROUNDS = 3  # of the local problem, weighted with the pole found
 _LEAST = 3  # bins: half-width of the narrowest window

@@ -9,16 +9,12 @@ import numpy as np
 from ..._options import STRUCTURES
 from ..diagnosis.verdict import HypothesisTest
 from ..parameters.model_function import ModelFunction
-from ..regression.tuning import TUNING
-from ..search.circumstances import HOLDS, Cause, Finding
 from ..search.fitted_modes import FreeFit, feedthrough_of
 from .constrained import StructuredFit, constrained
 from .delayed import cost_of
 from .hypothesis_tests import LEVEL, choose, given_structure, likelihood_test, structure_tests
 from .layout import ChannelLayout
 from .parametric import fit_parameters
-
-_SAME = 1.0  # difference of the BIC of models that are the same
 
 
 @dataclass(frozen=True)
@@ -61,7 +57,7 @@ class Choice:
             steps = 1 if free.interrupted else None
             return cls(free, constrained(free.projection, layout, given, free.region, steps), ())
         if given == "auto":
-            return cls(free, *_tested(free, request))
+            return cls(free, *tested(free, request))
         fit, test = given_structure(free.projection, layout, given, free.region)
         return cls(free, fit, (test,))
 
@@ -87,53 +83,6 @@ class Choice:
         return likelihood_test(projection, self.fit, max(0, unknowns - self.fit.parameters)).p >= LEVEL
 
 
-def under_either_hold(first: Choice, request: Request) -> Choice:
-    """The structure under the hold with which it is simpler, or likelier; that the input is not held is a finding."""
-    best = _under_likelier_hold(first, request)
-    if best.free.intersample == "zoh" or first.free.rival is None:
-        return best
-    gain = best.gain(first)
-    if best is first:
-        gain = 0.5 * (first.free.rival.criteria.bic - first.free.criteria.bic)
-    hold = Finding(Cause.HOLD, (float(HOLDS.index("foh")),), float(gain))
-    others = (finding for finding in best.free.findings if finding.cause is not Cause.HOLD)
-    return replace(best, free=replace(best.free, findings=(*others, hold)))
-
-
-def _under_likelier_hold(first: Choice, request: Request) -> Choice:
-    """The structure under the hold with which it is simpler, or likelier."""
-    free = first.free
-    if request.structure == "free" or first.stands(request) or free.rival is None:
-        return first
-    rival = replace(free.rival, findings=free.findings)
-    if request.structure == "auto":
-        simpler = STRUCTURES[: STRUCTURES.index(first.fit.structure)]
-        chosen, tests = _tested(rival, request, simpler)
-        stands = chosen.structure in simpler
-        if not (stands or (first.fit.structure == "free" and _is_rather_held_as(rival, tests, free, first.tests))):
-            return first
-    second = Choice.of(rival, request)
-    return second if request.structure == "auto" or second.gain(first) > TUNING.sure else first
-
-
-def _is_rather_held_as(
-    rival: FreeFit, tests: tuple[HypothesisTest, ...], free: FreeFit, free_tests: tuple[HypothesisTest, ...]
-) -> bool:
-    """Whether inputs were rather held as in a rival fit, where no structure stands.
-
-    With what is fed through they are the same model, and only shapes tell them apart.
-    """
-    preferred = free.criteria.bic - rival.criteria.bic
-    if abs(preferred) > _SAME:
-        return preferred > 0
-    return _classical_cost(free, free_tests) - _classical_cost(rival, tests) > 2 * TUNING.sure
-
-
-def _classical_cost(free: FreeFit, tests: tuple[HypothesisTest, ...]) -> float:
-    """Criterion of the classical model of a fit, short of its unknowns; that of the fit itself where it has none."""
-    return free.criteria.bic + sum(test.likelihood_ratio for test in tests if test.hypothesis == "classical")
-
-
 def layout_of(free: FreeFit, request: Request) -> ChannelLayout:
     """Channels of a fit, with the quantities and driving points that were requested."""
     first = free.channels[0]
@@ -143,7 +92,7 @@ def layout_of(free: FreeFit, request: Request) -> ChannelLayout:
     )  # fmt: skip
 
 
-def _tested(
+def tested(
     free: FreeFit, request: Request, among: tuple[str, ...] | None = None
 ) -> tuple[StructuredFit, tuple[HypothesisTest, ...]]:
     """Choose the simplest structure that is not rejected, and return the tests of all, or of those `among` some."""

@@ -12,9 +12,10 @@ from ..._units import feels_force
 from ..regression.free import Lateness
 from ..regression.tuning import TUNING
 from ..search.fitted_modes import FreeFit
-from .choice import Choice, Request, layout_of, under_either_hold
+from .choice import Choice, Request, layout_of
 from .constrained import StructuredFit, constrained
 from .delayed import with_delays
+from .input_hold import under_either_hold
 
 _SEEN = 2.0  # standard errors by which delays that a structure needs differ from 0
 _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it

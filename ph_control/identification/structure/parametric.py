@@ -28,7 +28,7 @@ from ..parameters.rows import RowsRemainder, energies, of_modes, remainders_of
 from ..regression.free import FreeProjection, GivenResidues, refine_free
 from ..regression.frequency_rows import FreeResponse
 from ..regression.time_rows import FreeRecord
-from ..search.circumstances import Cause, Finding
+from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from .constrained import StructuredFit
 from .hypothesis_tests import likelihood_test

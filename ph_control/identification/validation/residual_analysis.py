@@ -27,7 +27,6 @@ from ..regression.prediction import chosen_experiment
 from ..uncertainty.residual_data import ResidualData, noise_scales, without_peaks
 from ..uncertainty.residual_tests import Correlation, autocorrelation, cross_correlation, influence
 from .comparison import steps_ahead
-from .findings import message_of, verdict_of
 from .measured import (
     HeldData,
     HeldExperiment,
@@ -36,6 +35,7 @@ from .measured import (
     fit_to,
     names_of,
 )
+from .residual_verdict import message_of, verdict_of
 from .simulation import Rules, Simulation, answers_to
 
 _LAGS = 25  # by default, where the data are long enough
