@@ -1,6 +1,7 @@
 """What every test shares: no test may change global state, and where third-party data lies."""
 
 import os
+from collections import Counter
 from pathlib import Path
 
 # the matrices of the tests are small: threads of the linear algebra would only wait for one another
@@ -20,12 +21,25 @@ hypothesis.settings.register_profile("suite", derandomize=True, deadline=None, m
 hypothesis.settings.load_profile("suite")
 
 
+def pytest_configure(config):
+    """Give files to processes in their order: few long tests at the end would keep one of them waiting."""
+    if hasattr(config.option, "loadscopereorder"):
+        config.option.loadscopereorder = False
+
+
 def pytest_addoption(parser):
     parser.addoption("--slow", action="store_true", help="also run tests that are marked as slow")
 
 
 def pytest_collection_modifyitems(config, items):
-    """Leave slow tests out, unless they are asked for by the option, or by the marker: `-m slow`."""
+    """Leave slow tests and variants out, unless they are asked for by the option, or by the marker: `-m slow`."""
+    cases = Counter()
+    for item in items:
+        if item.get_closest_marker("variants"):
+            name = item.nodeid.split("[")[0]
+            if cases[name] % EACH:
+                item.add_marker(pytest.mark.slow)
+            cases[name] += 1
     if config.getoption("--slow") or config.getoption("-m"):
         return
     slow = [item for item in items if item.get_closest_marker("slow")]
@@ -33,6 +47,7 @@ def pytest_collection_modifyitems(config, items):
     config.hook.pytest_deselected(items=slow)
 
 
+EACH = 8  # cases of a test that is marked with `variants`, of which one is quick
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 

@@ -45,6 +45,7 @@ def test_modes_of_ambient_excitation_lie_within_their_intervals():
     assert np.all(np.median(law, axis=0) > 0.75 * expected) and np.all(np.median(law, axis=0) < 1.5 * expected)
 
 
+@pytest.mark.slow
 def test_shapes_are_real_where_the_data_do_not_reject_it(fit, record):
     assert fit.structure == "classical" and fit.tests[0].dof == 6
     assert not fit.shapes.imag.any() and np.all(fit.stderr["shapes"].imag < 1e-12)
@@ -57,6 +58,7 @@ def test_shapes_are_real_where_the_data_do_not_reject_it(fit, record):
     assert free.unknowns == fit.unknowns + 6
 
 
+@pytest.mark.slow
 def test_complex_shapes_reject_real_ones():
     y = ambient(4, 4000, of_displacement=0.5)
     result = phc.pem((None, y), 3, dt=STEP)
@@ -65,6 +67,7 @@ def test_complex_shapes_reject_real_ones():
     assert given.structure == "classical" and given.loglik < result.loglik - 10
 
 
+@pytest.mark.slow
 def test_units_of_the_outputs_and_of_time_change_nothing_else(fit, record):
     scaled = phc.pem((None, record * np.array([[1e-9], [1.0], [1e6]])), 3, dt=STEP * 1e-3)
     np.testing.assert_allclose(scaled.natural_frequencies, 1e3 * fit.natural_frequencies, rtol=1e-5)
@@ -73,6 +76,7 @@ def test_units_of_the_outputs_and_of_time_change_nothing_else(fit, record):
     np.testing.assert_allclose(scaled.loglik, fit.loglik - sizes, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_several_recordings_have_one_model():
     parts = [(None, ambient(seed, 1500)) for seed in (21, 22)]
     both = phc.pem(parts, 3, dt=STEP)
@@ -81,6 +85,7 @@ def test_several_recordings_have_one_model():
     np.testing.assert_allclose(both.stderr["damping_ratios"], alone.stderr["damping_ratios"] / np.sqrt(2), rtol=0.5)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("outputs", [1, 8])
 def test_one_output_or_many(outputs):
     shapes = np.random.default_rng(5).standard_normal((outputs, 3))
@@ -110,6 +115,7 @@ def test_white_noise_has_no_modes():
         assert result.states == 0 and result.outcome.name == "NOTHING" and "0 modes" in result.summary()
 
 
+@pytest.mark.slow
 def test_a_wind_that_is_not_white_is_a_real_pole():
     y = lfilter([1], [1, -0.95], np.random.default_rng(2).standard_normal(3000))
     result = phc.pem((None, y), dt=1.0)
@@ -140,11 +146,13 @@ def test_orders_that_are_given_are_taken(record):
     assert short.order == 2 and "LARGEST_ORDER" in causes(short)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("criterion", ["aic", "aicc", "holdout"])
 def test_every_criterion_chooses(record, criterion):
     assert phc.pem((None, record), dt=STEP, criterion=criterion, noise="forces").order >= 3
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("calls", [2, 12])
 def test_an_interruption_leaves_the_best_model_so_far(record, calls):
     seen = []

@@ -63,6 +63,7 @@ def of_two_inputs(structure):
 DAMPED = {structure: functools.partial(of_two_inputs, structure) for structure in ("auto", "classical")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [0.9, *slowly(0.5, 0.99)])
 def test_an_interruption_of_the_judgement_keeps_the_fit(part):
     whole, calls = uncut(contradicted)
@@ -71,6 +72,7 @@ def test_an_interruption_of_the_judgement_keeps_the_fit(part):
     assert cut.order == 2 and np.isfinite(cut.loss) and whole.success
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "part, structure",
     [(0.6, "classical"), (0.95, "auto"), *slowly((0.3, "auto"), (0.99, "classical"))],
@@ -118,6 +120,7 @@ def test_a_state_is_given_as_a_vector_or_as_one_number(quantity):
 LAST, RAMP = np.eye(1, 300, 299)[0], TIME.copy()
 
 
+@pytest.mark.variants
 @pytest.mark.filterwarnings("ignore::ph_control.exceptions.IdentifiabilityWarning")
 @pytest.mark.parametrize(
     "u, options",

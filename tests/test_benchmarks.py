@@ -375,6 +375,7 @@ def test_another_rate_of_the_descent_is_another_descent(monkeypatch):
     assert methods.disagreement(recording, "unique", "adam", 0.0201, 5) > 1e-6
 
 
+@pytest.mark.slow
 def test_the_paper_scheme_keeps_its_best_point_and_predicts_by_eulers_rule(monkeypatch):
     monkeypatch.setattr(methods, "EPOCHS", 30)
     recording, new, _ = peers.recording_of(peers.Case("euler", 3, 200, 20.0), 0)
@@ -492,6 +493,7 @@ def test_digits_are_counted_from_the_frequencies_and_weights_of_the_doubles_that
     assert np.isclose(digits._relative(np.array([2.02, 3.0]), d), 0.01)
 
 
+@pytest.mark.slow
 def test_the_digits_are_written_as_they_are_printed(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr(digits, "SEEDS", 1)
     path = tmp_path / "page.md"
@@ -613,6 +615,7 @@ def test_measured_data_that_are_not_there_are_skipped(monkeypatch, tmp_path):
 # --- golden -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name", golden_records.KINDS)
 def test_records_are_those_of_their_seed(name):
     """The same seed is the same record, and another place another one."""

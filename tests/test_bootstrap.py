@@ -168,6 +168,7 @@ def near(first, second, resamples, spare=0.0):
 # --- the problem, made again -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_problem_made_again_has_its_minimum_at_the_result(kind, fitted):
     result = fitted(kind)
@@ -189,6 +190,7 @@ def test_the_problem_made_again_has_its_minimum_at_the_result(kind, fitted):
     assert np.allclose(again.offsets, result.offsets, rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
 def test_records_from_rest_are_told_from_others(kind, fitted):
     rows = module._Refit.of(fitted(kind)).rows
@@ -200,6 +202,7 @@ def test_records_from_rest_are_told_from_others(kind, fitted):
 # --- white noise: the standard errors of theory ----------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "kind",
     [
@@ -278,6 +281,7 @@ def dense_errors(result, levels):
     return np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
 
 
+@pytest.mark.slow
 def test_experiments_with_noise_of_their_own_have_errors_of_their_own():
     levels = 0.1, 0.6
     data = [recording(400, levels[0], 1), recording(120, levels[1], 2)]
@@ -325,6 +329,7 @@ def problems(monkeypatch):
     return seen
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", ["offset", "missing"])
 def test_each_resample_is_the_prediction_with_residuals_of_the_record_and_is_fitted_as_pem_does(kind, fitted, problems):
     result = fitted(kind)
@@ -379,6 +384,7 @@ def test_residuals_stay_within_their_experiment(problems):
         assert quiet < 0.4 * loud
 
 
+@pytest.mark.slow
 def test_modes_are_matched_in_order_even_where_resamples_exchange_them():
     # two modes as far apart as their errors
     u, y = recording(300, 0.3, seed=6, modes=phc.modes([1.0, 1.08], [1.0, 1.0]))
@@ -387,6 +393,7 @@ def test_modes_are_matched_in_order_even_where_resamples_exchange_them():
     assert np.all(np.diff(kept, axis=1) >= 0)
 
 
+@pytest.mark.slow
 def test_weights_that_are_held_are_reported(fitted):
     """Where the estimate is on the bound, resamples of it fall on either side."""
     held, free = (fitted(kind).bootstrap(20, rng=0) for kind in ("held", "plain"))
@@ -530,6 +537,7 @@ def test_one_resample_has_no_standard_error(fitted):
     assert np.isnan(fitted("plain").bootstrap(1, rng=0).stderr["d"]).all()
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "arguments, message",
     [
@@ -543,6 +551,7 @@ def test_arguments_that_make_no_sense_are_refused(arguments, message, fitted):
         fitted("plain").bootstrap(**{"k": 2} | arguments)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("level", [0, 1, 1.5, None, "0.9"])
 def test_a_level_is_a_number_between_0_and_1(level, fitted):
     with pytest.raises(phc.StructureError, match="level is"):

@@ -123,6 +123,7 @@ def test_a_gain_is_a_change_of_residues_and_none_of_poles():
     assert fitted().changed((u, 1.3 * y), parameters="poles").p > 0.01
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("size, scale", [(1e-9, 1.0), (1e9, 1.0), (1.0, 1e-9), (1.0, 1e9)])
 def test_units_do_not_count(size, scale):
     u, y = record(0)
@@ -168,6 +169,7 @@ def stiffer():
     return phc.spring_chain([1.0, 1.0], [1.0], ground=[1.02, 0.5], c=0.02, ground_c=0.01, port=[0, 1])
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("noise, how", [("coloured", {"colour": 0.9}), ("correlated", {"shared": 2.0})])
 def test_noise_of_other_kinds_is_whitened(noise, how):
     result = phc.pem(channels(0, **how), 2, dt=STEP, noise=noise, structure="free")
@@ -399,6 +401,7 @@ def test_scores_need_no_fit_of_their_recording():
     assert len(fits.failures) == 1 and fits.changes().recordings.tolist() == [0]
 
 
+@pytest.mark.slow
 def test_without_a_reference_the_first_recording_is_one():
     chart = phc.fit_many(
         [record(20 + k, d=[1.0 if k < 5 else 0.99, 2.0], samples=400) for k in range(7)], order=2, dt=STEP

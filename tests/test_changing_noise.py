@@ -87,6 +87,7 @@ def test_a_result_has_the_recording_that_was_given(fits, tmp_path):
     np.testing.assert_allclose(resampled, result.stderr["natural_frequencies"], rtol=0.5)
 
 
+@pytest.mark.slow
 def test_outputs_change_together_or_alone():
     together = changes_in(phc.pem(recorded(3, [8.0, 8.0]), 2, dt=STEP))
     assert [finding.output for finding in together] == [""]
@@ -94,6 +95,7 @@ def test_outputs_change_together_or_alone():
     assert [finding.output for finding in alone] == ["y2"]
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("noise", ["white", "coloured", "outlier", "saturated", "decay"])
 def test_other_circumstances_are_no_change_of_the_noise(noise):
     u, y = recorded(0, [1.0])
@@ -122,6 +124,7 @@ def test_a_free_decay_may_be_noisy_at_first():
     assert abs(z) < 3.5
 
 
+@pytest.mark.slow
 def test_missing_samples_and_a_delay_go_with_changing_noise():
     u, y = recorded(5, [10.0])
     y[0, 100:130] = np.nan

@@ -98,6 +98,7 @@ def test_no_constant_is_estimated_where_it_is_forbidden():
 # --- when the input arrives ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "intersample, order, samples", [("zoh", 3, 800), ("foh", 3, 2500), ("zoh", "auto", 2500), ("foh", "auto", 800)]
 )
@@ -136,6 +137,7 @@ def test_the_table_of_orders_takes_the_hold_of_the_data_too():
     assert phc.order_selection((u, y), 4, dt=1.0).chosen() == 2
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("delay, samples", [(1, 900), (-1, 900), *slowly((3, 2500))])
 def test_a_delay_is_named_and_the_order_stays(delay, samples):
     plant, u, _, y, _ = recording(5, samples=samples)
@@ -162,6 +164,7 @@ def test_a_mode_slower_than_the_record_is_called_a_drift():
 # --- noise -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("drift, order, delays", [(0.0, "auto", (1,)), (1.0, 2, (8,)), *slowly((0.0, "auto", (8,)))])
 def test_a_delay_of_a_damped_plant_is_named_and_none_where_there_is_none(drift, order, delays):
     rng = np.random.default_rng(5)

@@ -176,6 +176,7 @@ def test_a_frequency_response_is_recognised_by_its_labels(shaker):
     assert answer["d"] == phc.pem(phc.read_frequency_csv(shaker), 2).d.tolist()
 
 
+@pytest.mark.slow
 def test_columns_units_and_weights_of_a_frequency_response_can_be_said(shaker):
     plain = strict_json(run("fit", shaker, "--order", 2, "--json").out)
     told = ("--frequency", 0, "--magnitude", 1, "--phase", 2, "--frequency-unit", "Hz", "--magnitude-unit", "dB",
@@ -268,6 +269,7 @@ def test_robot_arm_goes_through_without_crash_or_flattery(tmp_path):
 # --- what is not done ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("option", ["--model", "--result", "--plot", "--bode"])
 def test_existing_files_are_refused_before_the_fit_and_replaced_only_on_request(recording, tmp_path, option):
     path = tmp_path / ("out.png" if option in ("--plot", "--bode") else "out.json")
@@ -582,6 +584,7 @@ def test_the_help_comes_without_the_libraries_of_numbers_and_pictures():
     assert "ph_control.cli.commands.fit" in loaded and not loaded & {"numpy", "scipy", "matplotlib", "control"}
 
 
+@pytest.mark.slow
 def test_a_reader_that_has_gone_is_no_error_to_speak_of(tmp_path):
     model = tmp_path / "model.json"
     phc.save(phc.modes([1.0], [1.0]), model)
@@ -593,6 +596,7 @@ def test_a_reader_that_has_gone_is_no_error_to_speak_of(tmp_path):
     assert process.returncode == 141 and error == b""
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device")
 def test_an_output_that_takes_nothing_is_an_error():
     for arguments in (["--help"], ["info", "--num", "1,0", "--den", "1,0,4"]):
@@ -604,6 +608,7 @@ def test_an_output_that_takes_nothing_is_an_error():
         assert error.count(b"\n") == 1
 
 
+@pytest.mark.slow
 def test_the_interrupt_key_ends_a_process_with_status_130():
     # a process that a shell sent to the background ignores the key, and its children do, too
     code = (

@@ -295,6 +295,7 @@ def test_what_is_no_model_is_said_to_be_so_in_one_line(content, message):
     assert done.error.startswith("ph-control: ") and done.error.count("\n") == 1
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("packed", [False, True])
 def test_no_damage_to_a_mat_file_ends_the_program_or_leaves_a_bare_error(packed):
     """The reader of scipy ends the process at some of these."""

@@ -142,6 +142,7 @@ def test_every_picture_is_drawn_in_every_format(here, kind, suffix):
     assert target.read_bytes().startswith(MARKS[suffix])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["bode", "step", "impulse", "modes", "poles", "energy"])
 def test_models_without_more_ado_are_drawn(here, kind):
     for name in ("plant.json", "two.json", "result.json"):
@@ -149,6 +150,7 @@ def test_models_without_more_ado_are_drawn(here, kind):
         assert (done.status, done.error) == (0, ""), name
 
 
+@pytest.mark.slow
 def test_the_same_picture_has_the_same_bytes_also_through_a_pipe(here):
     for kind in MARKS:
         first, second = (run("plot", "bode", "plant.json", "--out", "-", "--format", kind).output for _ in range(2))

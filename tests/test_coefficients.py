@@ -89,6 +89,7 @@ def test_the_order_of_c_is_that_of_the_paper():
     assert c[2] == kappa[0] * 36 + kappa[1] * 9 + kappa[2] * 4
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name", LARGE)
 def test_hundreds_of_modes_keep_fifteen_digits(name):
     d = LARGE[name]
@@ -195,6 +196,7 @@ def worst(found, truth):
     return max(float(abs(mp.mpf(float(x)) / t - 1)) for x, t in zip(found, truth, strict=True))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [1, 2, 5, 10, 20])
 @pytest.mark.parametrize("spacing", ["linear", "logarithmic"])
 @pytest.mark.parametrize("scale", [1e-6, 1e6])

@@ -72,6 +72,7 @@ def test_every_command_and_every_kind_of_picture_has_an_example():
     assert kinds == {"bode", "step", "impulse", "modes", "poles", "energy", "fit"}
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("line", list(dict.fromkeys(every_example())))
 def test_an_example_of_a_help_works_as_it_stands(workshop, line, monkeypatch):
     if line.startswith("ph-control demo"):  # which are drawn in the tests of the command

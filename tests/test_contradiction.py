@@ -63,6 +63,7 @@ def signed_weights(result, quantity="velocity"):
     return (residues * turn).real, spread
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("noise", [0.1, 0.4])
 def test_lossless_records_with_white_noise_are_not_accused(noise):
     accused = 0
@@ -102,6 +103,7 @@ def test_a_sensor_away_from_the_actuator_is_seen_by_the_sign():
     assert np.abs(errors).max() < 4
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "quantity, order", [("velocity", 3), ("displacement", 3), ("acceleration", 3), ("displacement", "auto")]
 )
@@ -152,6 +154,7 @@ def motion(ratio, seed):
     return clean + 0.05 * rng.standard_normal(SAMPLES)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("order", [2, "auto"])
 def test_a_free_motion_that_decays_has_its_damping(order):
     for ratio in (0.003, 0.02):
@@ -216,6 +219,7 @@ def test_a_pair_closer_than_the_record_resolves_stays_lossless():
     assert rejected <= 1
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("method", ["exact", "midpoint"])
 @pytest.mark.parametrize("intersample", ["zoh", "foh"])
 @pytest.mark.parametrize("kind", ["record", "from rest", "bins", "response"])

@@ -36,6 +36,7 @@ def random_gain(rng, m):
 # --- closed loops --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", range(20))
 def test_closed_loops_are_port_hamiltonian_and_those_of_python_control(seed):
     rng = np.random.default_rng(seed)
@@ -380,6 +381,7 @@ def test_passive_controllers_are_stable_with_every_passive_sample_of_a_fit(noisy
     assert 0 < sum(growing) < len(samples)
 
 
+@pytest.mark.slow
 def test_sampled_systems_are_those_of_the_samples(noisy_fit):
     samples, systems = noisy_fit.sample(3, rng=5), noisy_fit.sample_systems(3, rng=5)
     omega = np.linspace(1.0, 40.0, 50)

@@ -108,6 +108,7 @@ def sensor_away(samples=400):
 # --- the three forms show the same ------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 8])
 def test_every_form_runs_along_the_prediction_from_its_state(n):
     for quantity in QUANTITIES if n <= 3 else QUANTITIES[n % 3 :][:1]:
@@ -138,6 +139,7 @@ def test_the_state_does_not_depend_on_what_is_measured():
             assert np.allclose(other, found[0], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("method, intersample", [("midpoint", "zoh"), ("euler", "zoh"), ("exact", "foh")])
 def test_forms_start_from_their_state_under_every_discretisation(method, intersample):
     rng = np.random.default_rng(1)
@@ -311,6 +313,7 @@ def test_a_frequency_response_has_no_initial_state():
         result.initial_state_in("oh")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("form", ["ch", "oh"])
 def test_a_state_that_carries_few_digits_is_said_to_do_so(form):
     """Twelve modes within an octave: companion matrices have lost the frequencies."""

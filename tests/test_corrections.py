@@ -221,6 +221,7 @@ def test_7_the_product_of_the_reduced_groupoid_joins_source_and_target_only_in_t
 # --- 8: lifting by ones ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("more", [2, 3])
 def test_8_padding_by_ones_gives_an_observable_form_whose_free_motions_grow_and_distinct_padding_does_not(more):
     sys = phc.ph(phc.modes([2.0, 3.0], [1.0, 0.5]))

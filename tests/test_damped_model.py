@@ -55,6 +55,7 @@ def lossless_loss(u, y, d, intersample):
     return float(np.mean((y - columns @ found.x) ** 2))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("order, seed", [(3, 0), ("auto", 1)])
 def test_a_fit_to_damped_data_is_a_minimum_of_the_lossless_problem(order, seed):
     u = white(1000, seed)
@@ -71,6 +72,7 @@ def test_a_fit_to_damped_data_is_a_minimum_of_the_lossless_problem(order, seed):
 # --- what it holds -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_parameters_lie_within_their_standard_errors():
     scores = []
     for seed in range(5):
@@ -90,6 +92,7 @@ def test_parameters_lie_within_their_standard_errors():
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.25
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("taken, said", [("velocity", "velocity"), ("acceleration", "velocity"),
                                          ("displacement", "acceleration")])  # fmt: skip
 def test_it_survives_a_wrong_quantity_and_its_system_predicts_the_record(taken, said):
@@ -124,6 +127,7 @@ def test_a_lossless_record_is_not_rejected():
 # --- the test of the lossless model --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_lossless_model_is_refused_by_chance_as_often_as_it_should():
     found, known = [], {"intersample": "zoh", "delay": 0.0, "noise": "white"}
     for seed in range(30):
@@ -150,6 +154,7 @@ def test_damping_that_leaves_residuals_white_is_not_consistent():
     assert told == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
 @pytest.mark.parametrize("options", [{}, {"initial_state": "zero"}])
 def test_other_quantities_and_rest_are_judged_alike(quantity, options):
@@ -164,6 +169,7 @@ def test_other_quantities_and_rest_are_judged_alike(quantity, options):
 # --- the search ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("said", ["velocity", "acceleration"])
 def test_a_hammer_test_ends_with_its_damped_modes(said):
     u, y, h = hammer()

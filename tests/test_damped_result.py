@@ -43,6 +43,7 @@ def phc_output(u):
 # --- parameters ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 def test_all_modes_are_found_and_lie_within_their_errors(result):
     truth = PLANT.truth
     assert result.order == 2 and isinstance(result, phc.PEMResult) and result.structure == "free"
@@ -91,6 +92,7 @@ def test_a_driving_point_sets_the_scale_and_without_one_the_largest_is_1():
     assert np.allclose(np.take_along_axis(unscaled.stderr["shapes"], largest[:, None], 1), 0, atol=1e-12)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration", ("velocity", "acceleration", "displacement")])
 def test_shapes_are_the_same_whatever_the_outputs_are(quantity):
     power = {"displacement": -1, "velocity": 0, "acceleration": 1}
@@ -206,6 +208,7 @@ def test_it_is_compared_and_drawn_as_other_models_are(single):
 # --- files and text --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 def test_it_comes_back_from_files_and_copies(result, single, tmp_path):
     for k, one in enumerate((result, single)):
         one.save(tmp_path / f"{k}.json")
@@ -272,6 +275,7 @@ def test_true_modes_are_stable_in_all_orders_beyond_and_the_result_is_among_them
     )
 
 
+@pytest.mark.variants
 def test_tolerances_of_a_diagram_are_those_of_its_picture(result):
     found = result.stabilisation(beyond=1, frequency_tolerance=0.5, damping_tolerance=0.0)
     assert not any(level.max() > 1 for level in found.stability[1:]) and not any(map(np.any, found.stable))
@@ -293,6 +297,7 @@ def test_a_diagram_of_one_output_asks_for_no_shape_and_comes_of_files_as_well(si
     assert all(np.array_equal(*pair) for pair in zip(found.poles, again.poles, strict=True))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("options", [{"beyond": -1}, {"least_mac": 2}, {"frequency_tolerance": np.nan}])
 def test_a_diagram_refuses_what_is_out_of_range(single, options):
     with pytest.raises(phc.StructureError, match=next(iter(options))):
@@ -313,6 +318,7 @@ def test_lossless_modes_have_a_diagram_of_frequencies():
 # --- bands -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("structure", ["auto", "free"])
 def test_bands_of_what_was_measured_lie_about_its_curve(structure):
     """A displacement: neither the velocity of the port nor a power of s more is drawn."""
@@ -342,6 +348,7 @@ def test_bands_of_what_was_measured_lie_about_its_curve(structure):
     plt.close("all")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", [0, 3, 6])
 def test_a_hammer_that_hits_after_few_samples_is_no_riddle(seed):
     """Six quiet samples do not tell the motion there was, which free residues would be told apart from."""

@@ -69,6 +69,7 @@ def test_a_common_delay_is_one_number(order):
     assert sum(one.cause.name == "DELAY" for one in result.findings) == 1
 
 
+@pytest.mark.slow
 def test_data_and_predictions_are_those_of_the_user():
     u, y, _ = skewed(2, (2.4, 2.4))
     result = fitted(u[:1400], y[:, :1400])
@@ -128,6 +129,7 @@ def test_pictures_of_a_response_have_the_delay(late):
         np.testing.assert_allclose(middle, exact[k] / np.abs(exact[k]), atol=2e-2)
 
 
+@pytest.mark.slow
 def test_a_rational_approximation_has_the_phase_of_the_delay():
     u, y, _ = skewed(4, (0.9, 0.0))
     result = fitted(u, y, order=3)
@@ -177,6 +179,7 @@ def test_a_response_shows_the_delay_of_a_lossy_plant():
     assert compared.fit_percent[0] > 90
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", [0, 16])
 def test_a_delay_does_not_stand_for_the_damping_that_a_given_structure_lacks(seed):
     """Free residues explain the data without a delay, so that the lossless model is refused, and nothing else named."""

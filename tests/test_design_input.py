@@ -118,6 +118,7 @@ def test_the_signal_has_the_spectrum_that_is_stated_and_keeps_its_limits():
     assert np.array_equal(designed.time, STEP * np.arange(SAMPLES))
 
 
+@pytest.mark.slow
 def test_a_limited_peak_is_reached_and_a_low_one():
     assert design().peak == pytest.approx([1.0])
     assert design().peak_factor[0] < 1.6
@@ -209,6 +210,7 @@ def test_noise_of_a_fit_moves_power_to_where_it_is_little():
 # --- degenerate plants ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("size", [1e-9, 1e9])
 def test_other_units_give_the_same_input(size):
     plain = phc.design_input(phc.modes(1.0, 1.0, damping=0.02), 400, 0.5, rms=1.0, noise_std=0.1)

@@ -45,6 +45,7 @@ def numbers(p, h):
     return [held.multiplier(p), now, slope, *interpolated.weights_and_derivatives(p)]
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("angle", ANGLES)
 def test_exact_steps_are_right_to_eight_roundings_from_tiny_to_huge_steps(angle):
     h = 0.37

@@ -65,6 +65,7 @@ def test_matrices_responses_and_simulations_are_those_of_the_equations(seed):
     np.testing.assert_allclose(sampled.A, expm(h * dense.A), atol=1e-10 * np.abs(sampled.A).max())
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("rule", [("exact", "foh"), ("exact", "zoh"), ("midpoint", "foh"), ("midpoint", "zoh")])
 @settings(max_examples=15, deadline=None)
 @SEEDS
@@ -123,6 +124,7 @@ def test_critical_damping_keeps_its_digits(n, distance):
             assert abs(system(1j * w) - complex(exact)) <= 1e-12 * np.sum(B**2)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("distance", [0.0, 1e-12, 1e-8, 1e-4, 1e-1])
 def test_poles_of_one_chain_that_all_meet_keep_their_digits(n, distance):
@@ -448,6 +450,7 @@ def test_modes_plot_marks_modes_without_a_weight_of_their_own():
     plt.close("all")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "method, intersample",
     [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")],

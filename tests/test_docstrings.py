@@ -228,6 +228,7 @@ def test_the_package_says_what_it_is():
     assert summary_complaints(phc.__doc__) == []
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name", public_functions())
 def test_a_public_function_is_documented(name):
     assert function_complaints(public_functions()[name]) == []
@@ -243,6 +244,7 @@ def test_a_public_class_is_documented(name):
     assert class_complaints(public_classes()[name]) == []
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name", public_methods())
 def test_a_public_method_or_attribute_is_documented(name):
     cls, member = public_methods()[name]

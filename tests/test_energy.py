@@ -19,6 +19,7 @@ def off(balance, stored, supplied, dissipated):
     return max(float(np.max(np.abs(found - exact))) for found, exact in pairs) / float(np.max(np.abs(supplied)))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "make", [lambda c: phc.ph(ct.tf([1], [1, c])), lambda c: phc.ph([[1.0]], [1.0], R=[[c]], J=[[0.0]])]
 )
@@ -73,6 +74,7 @@ def exact_energies(sys, t, u, hold):
     return stored, *sums
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
 @pytest.mark.parametrize("name", PLANTS)
 def test_every_term_is_the_integral_along_the_motion_in_any_unit_of_time(name, hold):
@@ -86,6 +88,7 @@ def test_every_term_is_the_integral_along_the_motion_in_any_unit_of_time(name, h
         assert np.max(np.abs(balance.defect)) < ALLOWED * np.max(np.abs(balance.supplied))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name", [*list(PLANTS)[:2], *slowly(*list(PLANTS)[2:])])
 def test_long_steps_of_any_size_leave_no_defect(name):
     for unit in UNITS:

@@ -128,6 +128,7 @@ def test_the_information_is_that_of_a_dense_simulation(method, intersample, movi
     assert factors.min() >= 1 - 1e-9
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
 def test_the_information_of_a_known_initial_state_leaves_it_out(n):
     h, u = 0.1, white(120)
@@ -258,6 +259,7 @@ def test_eulers_rule_shows_the_weights_of_the_chain_by_an_artefact():
     assert excitation((u, None), CHAIN, dt=STEP, method="midpoint").rank == 7
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", ["white", "multisine", "two sines"])
 def test_other_inputs_of_the_same_length_show_the_weights_to_the_cramer_rao_bound(kind):
     u = {
@@ -282,6 +284,7 @@ def test_from_known_rest_a_sine_shows_the_weights():
 # --- inputs ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("moving", [False, True])
 def test_m_sines_show_m_combinations_of_the_weights(n, moving):
@@ -535,6 +538,7 @@ def test_noise_that_drowns_the_weights_asks_for_a_stronger_input():
 # --- a number of modes -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [1, 2, 3, 5])
 def test_white_noise_shows_any_modes_anywhere(n):
     found = excitation((white(1000), None), n, dt=0.1)
@@ -544,6 +548,7 @@ def test_white_noise_shows_any_modes_anywhere(n):
     assert low < 0.05 * np.pi / 0.1 and high > 0.9 * np.pi / 0.1
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [2, 3, 5])
 def test_a_sine_shows_two_modes_nowhere_and_one_mode_near_it(n):
     u = sines(1.0, samples=1000, h=0.1)
@@ -584,6 +589,7 @@ def verdict_of(found):
     )  # fmt: skip
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("amplitude", [1e-9, 1.0, 1e9])
 @pytest.mark.parametrize("duration", [1e-9, 1.0, 1e9])
 @pytest.mark.parametrize("name", ["sine", "white", "constant", "euler", "impulse", "close", "noisy", "number"])

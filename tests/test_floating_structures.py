@@ -168,6 +168,7 @@ def frame_without_diagonals(n):
     return sparse.block_diag([sparse.kron(unit, along), sparse.kron(along, unit)], format="csc")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [12, 30])
 def test_a_large_kernel_is_counted_found_and_said(n):
     K = frame_without_diagonals(n)
@@ -191,6 +192,7 @@ def test_a_large_kernel_is_counted_found_and_said(n):
     np.testing.assert_allclose(elastic, exact[: len(elastic)], rtol=1e-9)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("loose, modes", [(40, 50), (120, 10), (120, 130)])
 def test_many_loose_masses_beside_a_soft_chain_are_all_rigid(loose, modes):
     # whose lowest modes are only some thousand times the shift

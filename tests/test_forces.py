@@ -93,6 +93,7 @@ def test_shapes_scale_to_the_force_at_its_port(forced):
     assert np.all(np.abs(error) < 4.5 * np.abs(forced.stderr["shapes"].real) + 1e-12)
 
 
+@pytest.mark.slow
 def test_a_given_number_of_modes_is_kept_beside_forces():
     data = record(1, forces=0.3)
     result = fit_of(data, 3)
@@ -181,6 +182,7 @@ def test_a_drift_is_found_beside_forces():
     np.testing.assert_allclose(drift.values, slopes, atol=0.1 * abs(slopes).max())
 
 
+@pytest.mark.slow
 def test_inputs_that_answer_to_outputs_are_no_traces():
     """A controller makes inputs of outputs, and so of forces: what it does later says nothing of the model."""
     A, B, C, Q = steps()

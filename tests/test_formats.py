@@ -61,6 +61,7 @@ def written(folder, *functions, name="test.uff"):
     return path
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("binary", [0, 1])
 def test_responses_of_one_test_become_a_matrix(tmp_path, binary):
     f = np.arange(1.0, 41.0)
@@ -101,6 +102,7 @@ def hammer_runs(binary=0):
     ]  # fmt: skip
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("binary", [0, 1])
 def test_channels_become_recordings_with_forces_as_inputs(tmp_path, binary):
     x, functions = hammer_runs(binary)
@@ -136,6 +138,7 @@ def test_a_recording_without_forces_has_no_input(tmp_path):
     assert data.inputs is None and data.outputs.shape == (2, 30)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "step", [1 / 6000, 0.1220703125, *slowly(1 / 2048, 1 / 25600, 1 / 44100, 0.001, 0.78125, 0.25, 3.2768)]
 )
@@ -153,6 +156,7 @@ def test_other_functions_are_passed_over(tmp_path):
         phc.read_uff(written(tmp_path, spectrum, name="spectra.uff"))
 
 
+@pytest.mark.slow
 def test_a_fit_takes_what_was_read(tmp_path):
     f = np.linspace(0.1, 1.0, 60)
     plant = phc.modes([1.5, 4.0], [1.0, 0.5])
@@ -162,6 +166,7 @@ def test_a_fit_takes_what_was_read(tmp_path):
     assert np.allclose(result.d, [1.5, 4.0], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_quantity_of_an_output_is_that_of_the_file_where_it_responds_to_forces(tmp_path):
     f, H = np.arange(1.0, 6.0), 1j * np.ones(5)
     codes = {1: (8, 13), 2: (11, 13), 3: (12, 13), 4: (12, 12), 5: (0, 13), 6: (3, 13), 7: (13, 13), 8: (12, 0)}
@@ -180,6 +185,7 @@ def test_the_quantity_of_an_output_is_that_of_the_file_where_it_responds_to_forc
 QUANTITIES = {8: "displacement", 11: "velocity", 12: "acceleration"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", QUANTITIES)
 def test_a_fit_takes_the_quantity_of_the_file_and_says_so(tmp_path, code):
     f = np.linspace(0.1, 1.0, 60)
@@ -258,6 +264,7 @@ def test_driving_points_are_those_of_equal_places_and_directions(tmp_path):
     assert free.ports == () and free.quantities == ("free", "free")
 
 
+@pytest.mark.slow
 def test_what_is_no_driving_point_is_not_taken_for_one(tmp_path):
     for options, outputs, hammers in (
         ({"applied": 12}, [1, 2], [2]), ({"measured": 0}, [1, 2], [2]), ({}, [1, -2], [2]), ({}, [1], [2]),
@@ -281,6 +288,7 @@ def test_driving_points_of_recordings(tmp_path):
     assert data.ports == [("2+Z", "2+Z")]
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("absent", [(1, 0), (2, 1)])
 def test_a_pair_that_was_not_measured_is_named_by_the_fit(tmp_path, absent):
     f = np.arange(0.5, 20.0, 0.5)
@@ -321,6 +329,7 @@ def refused_or_read(read, content, name):
     return False
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("binary", [0, 1])
 def test_damaged_universal_files_are_refused_with_an_error_of_the_package(tmp_path, binary):
     content = written(tmp_path, *hammer_runs(binary)[1]).read_bytes()

@@ -139,6 +139,7 @@ def fitted(*labels, **keywords):
     return phc.pem(data, 1, structure="free", **keywords)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "label, quantity",
     [

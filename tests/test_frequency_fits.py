@@ -49,6 +49,7 @@ def is_at_the_optimum(result, d, r):
     )
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("quantity", ["velocity", "displacement", "acceleration"])
 @pytest.mark.parametrize("n", PLANTS)
 def test_noisy_responses_of_lossless_plants_are_fitted_to_within_their_errors(n, quantity):
@@ -66,6 +67,7 @@ def test_noisy_responses_of_lossless_plants_are_fitted_to_within_their_errors(n,
     assert rejected <= 1
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", PLANTS)
 def test_weights_make_the_estimate_that_of_the_noise_they_belong_to(n):
     d, r = PLANTS[n]
@@ -83,6 +85,7 @@ def test_weights_make_the_estimate_that_of_the_noise_they_belong_to(n):
     assert weighted_error < plain_error
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("quantity", ["velocity", "displacement", "acceleration"])
 @pytest.mark.parametrize("n", PLANTS)
 @pytest.mark.parametrize("order", ["given", "auto"])
@@ -125,6 +128,7 @@ def test_noise_that_goes_with_the_gain_casts_doubt_where_points_were_taken_as_eq
     assert weighted.outcome.name == "CONSISTENT" and not found(weighted, "GAIN_NOISE")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("order", [3, "auto"])
 def test_noise_that_goes_with_the_gain_is_estimated_without_weights(order):
     inside = []
@@ -181,6 +185,7 @@ def plant_with_noise(n, seed, *, relative, floor=0.0, points=25):
     return d, r, exact, ct.frd(exact + noise(size, seed), omega, smooth=False)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [3, 12])
 def test_the_order_is_found_where_noise_and_weights_go_with_the_gain(n):
     """There one mode alone explains next to nothing, and no criterion speaks for it."""
@@ -190,6 +195,7 @@ def test_the_order_is_found_where_noise_and_weights_go_with_the_gain(n):
     assert result.whiteness > 1e-3 and result.tests[0].p > 1e-3
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("distance", [0.1, 1e-2, 1e-4])
 def test_a_resonance_close_to_a_point_is_placed_by_that_point(distance):
     """There the minimum is narrow, and beside it is a wide one that leaves the point unexplained."""
@@ -204,6 +210,7 @@ def test_a_resonance_close_to_a_point_is_placed_by_that_point(distance):
         assert np.sqrt(result.noise_variance) == pytest.approx(0.001, rel=0.4)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "d, r",
     [
@@ -221,6 +228,7 @@ def test_modes_in_wrong_places_are_passed_by_some_that_are_dropped_again(d, r):
         assert np.allclose(result.d, d, rtol=1e-3) and np.all(np.abs(result.residues) > 0), seed
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", range(2))
 def test_a_response_with_a_missed_resonance_is_not_called_explained(seed):
     """A few points at the resonance outweigh all others: without care, what they leave looks white."""
@@ -272,6 +280,7 @@ def test_few_points_of_a_sensor_of_any_kind_are_enough_for_a_mode(points):
     assert result.poles[0] == pytest.approx(1.03j, rel=1e-9)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", range(6))
 def test_few_noisy_points_are_fitted_or_left_without_a_mode(seed):
     omega = np.linspace(0.6, 1.6, 3)
@@ -321,6 +330,7 @@ def test_damped_response_is_no_lossless_one_and_has_its_damping():
     assert found(lossless, "LOSSES") and "show losses" in lossless.message
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("weighted", [True, False])
 def test_a_response_is_tested_for_damping_that_leaves_its_residuals_white(weighted):
     d, r = PLANTS[3]
@@ -342,6 +352,7 @@ def test_a_response_is_tested_for_damping_that_leaves_its_residuals_white(weight
     assert min(p[:3]) > 1e-3 and max(p[:3]) > 0.3 and max(p[3:]) < 1e-3
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [1, 3])
 @pytest.mark.parametrize("relative, floor", [(0.02, 0.0), (0.02, 0.02), *slowly((0.0, 0.02))])
 def test_intervals_of_responses_without_weights_hold_what_they_should(n, relative, floor):
@@ -376,6 +387,7 @@ def test_both_modes_of_the_robot_arm_are_found_and_what_contradicts_is_said(data
     assert result.outcome.name == "NOT_DESCRIBED" and found(result, "LOSSES")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("column, order", [(0, 3), (0, "auto"), (1, "auto"), (2, "auto")])
 def test_all_three_modes_of_the_measured_receptances_are_found(data_folder, column, order):
     content = loadmat(data_folder / "measured" / "mckiddat.mat")
@@ -430,6 +442,7 @@ def test_a_point_far_out_of_the_noise_is_named(order):
     assert named and result.order == 3 and np.allclose(result.natural_frequencies, d, rtol=2e-3)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("point", [0, 2])
 def test_an_error_at_a_resonance_is_no_damping(point):
     d, r, exact, data = plant_with_noise(3, 1, relative=0.01)
@@ -442,6 +455,7 @@ def test_an_error_at_a_resonance_is_no_damping(point):
     assert result.structure == "lossless" and is_at_the_optimum(result, d, r)
 
 
+@pytest.mark.slow
 def test_damped_resonances_with_a_wrong_value_next_to_each_keep_all_lines_but_that():
     omega, d = np.linspace(0.05, 3.2, 120), [0.9, 1.7, 2.6]
     exact = response(d, [1.0, 0.8, 1.2], omega, ratio=0.01)

@@ -120,6 +120,7 @@ def test_what_is_returned_comes_back_as_locked_as_it_was(results, how):
         _held_against(THROUGH[how](one), one)
 
 
+@pytest.mark.slow
 def test_what_is_returned_comes_back_from_another_process(results):
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         for one, twin in zip(results, pool.map(copy.copy, results), strict=True):

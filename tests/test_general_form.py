@@ -51,6 +51,7 @@ def recursion(sys, hold, u):
 # --- from matrices -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("loss", [1e-4, 0.01, 0.3, 1.0, 3.0])
 @pytest.mark.parametrize("n", [1, 3, 8])
 def test_the_response_is_that_of_the_matrices(n, loss):
@@ -66,6 +67,7 @@ def test_the_response_is_that_of_the_matrices(n, loss):
         assert np.max(np.abs(values[:, :, k] - truth)) < 1e-13 * np.max(np.abs(truth)) * max(1, 0.1 / gap)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize(("n", "loss"), [(1, 3.0), (3, 0.01), (6, 3.0), (12, 0.2)])
 def test_simulation_is_that_of_the_matrices(n, loss, rule):
@@ -83,6 +85,7 @@ def nearly_defective(n, gap, rng):
     return ct.ss(A, rng.standard_normal((2 * n, 1)), rng.standard_normal((1, 2 * n)), 0.0)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("gap", [0.0, 1e-12, 1e-9, 1e-6, 1e-3, 1e-1])
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
 def test_poles_that_coincide_or_nearly_so_cost_no_digits(n, gap):

@@ -30,6 +30,7 @@ def hit(seed, *, noise, background=0.0, outputs=1):
     return phc.recording(columns, input="force", output=list(columns)[1:], fs=1 / STEP)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(("seed", "outputs"), [(0, 1), (1, 2)])
 def test_noise_of_the_force_between_hits_is_no_force(seed, outputs):
     given = [hit([seed, k], noise=0.2, outputs=outputs) for k in range(3)]

@@ -34,6 +34,7 @@ def hums(result):
     return [finding for finding in result.findings if finding.cause.name == "HUM"]
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed, share", [(0, 0.01), (2, 0.3), *slowly((1, 0.05))])
 def test_hum_is_named_with_its_frequency_and_is_no_mode(seed, share):
     frequency = np.random.default_rng([seed, 3]).uniform(2.5, 8)
@@ -74,6 +75,7 @@ def test_an_order_that_is_given_is_that_of_the_modes(share):
     np.testing.assert_allclose(result.natural_frequencies, np.abs(POLES), rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_hum_of_each_experiment_has_its_own_phase():
     pair = [humming(4, 0.1, 5.0), humming(5, 0.3, 5.0)]
     result = phc.pem(pair, dt=STEP)
@@ -92,6 +94,7 @@ def test_modes_that_inputs_drive_are_no_hum():
     assert result.order == 3 and not hums(result)
 
 
+@pytest.mark.slow
 def test_files_and_resamples_keep_hum(tmp_path):
     result = phc.pem(humming(7, 0.2, 4.0), dt=STEP)
     result.save(tmp_path / "fit.json")

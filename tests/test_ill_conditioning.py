@@ -66,6 +66,7 @@ def chain(rng, n, free):
     return (Q + Q.T) / 2
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("n", [2, 3, 5])
 def test_fifteen_lost_digits_are_told_and_eleven_are_not(n, seed):
@@ -80,6 +81,7 @@ def test_fifteen_lost_digits_are_told_and_eleven_are_not(n, seed):
         assert warns(lambda more=more: phc.ph(well, B, **more)) == 0
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("n", [2, 5, 12, 30])
 def test_units_of_states_time_and_ports_neither_bring_a_warning_nor_take_it(n, seed):

@@ -137,6 +137,7 @@ def of_estimated_noise(evaluation, covariance):
     return plant, known, known @ added @ known
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("outputs", [1, 2])
 def test_errors_beside_estimated_noise_are_those_of_the_formula_for_all_bins(outputs, monkeypatch):
     seen = []

@@ -221,6 +221,7 @@ def test_what_the_input_reaches_in_one_system_only_is_not_hidden_by_a_change_of_
     assert not verdict and "in one of them only" in verdict.reason
 
 
+@pytest.mark.slow
 @SETTINGS
 @pytest.mark.filterwarnings("ignore::UserWarning")  # companion matrices of clustered frequencies hold no digits of them
 @given(st.integers(1, 8), st.sampled_from(["decade", "wide", "clustered"]), st.integers(0, 10**6))

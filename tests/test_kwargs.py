@@ -192,6 +192,7 @@ def test_the_callables_are_found():
     assert {"ph", "PortHamiltonian", "forced_response"} <= set(OPEN)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name", CLOSED)
 def test_a_call_with_fixed_keywords_refuses_another(name):
     with pytest.raises(TypeError, match=REFUSAL):

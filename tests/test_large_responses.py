@@ -37,6 +37,7 @@ def test_many_lines_show_the_modes_and_no_ghosts(share, floor):
     assert bool(laws) == (share > 0) and (not laws or np.allclose(laws[0], share, rtol=0.1))
 
 
+@pytest.mark.slow
 def test_a_slow_real_pole_among_many_lines_is_found():
     _, _, data = response(2, floor=0.02, seed=2)
     omega, H = data.omega, data.frdata
@@ -108,6 +109,7 @@ def test_a_line_with_skin_effect_is_fitted_with_modes_above_the_band():
     assert np.all(result.damping_ratios >= 0)
 
 
+@pytest.mark.slow
 def test_where_overlapping_modes_end_at_the_largest_order_this_is_said():
     omega = np.linspace(0.05, 25.0, 200)
     error, result = misfit(lossy_line(omega), omega, max_order=5)

@@ -73,6 +73,7 @@ def test_lossless_modes_are_followed_from_a_part_to_the_whole(disk, noise):
     np.testing.assert_array_equal(result.record.time, STEP * np.arange(SAMPLES))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", ["auto", "free"])
 def test_no_time_is_made_of_a_long_record_before_somebody_asks_for_it(tmp_path, structure):
     samples = 10_000_000

@@ -45,6 +45,7 @@ def flat(columns, C):
     return [value for column in columns for value in mp.matrix(C.tolist()) * column]
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("ratio", [*RATIOS[1::2], *slowly(*RATIOS[::2])])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_all_responses_are_right_to_rounding_of_the_largest_sample(name, ratio):

@@ -110,6 +110,7 @@ HIDDEN = {
 }  # fmt: skip
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seen", ["by the outputs", "by the inputs", "by nothing"])
 @pytest.mark.parametrize("hidden", HIDDEN)
 @pytest.mark.parametrize("ports", [1, 2])
@@ -679,6 +680,7 @@ def test_the_compact_disc_player_is_refused_for_its_damping_and_without_it_for_i
 # --- units of the states -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("decades", [3, 6, 9])
 @pytest.mark.parametrize("rigid", [False, True])
 def test_the_units_of_the_states_do_not_matter(decades, rigid):
@@ -731,6 +733,7 @@ def test_a_sampled_canonical_form_comes_back_at_every_scale_of_time(scale, metho
     assert back.n == 2 and abs(back(s) / sys(s) - 1) < 1e-8
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("gap", [1e-13, 1e-12, 3e-12, 1e-11, 1e-10])
 def test_frequencies_that_nearly_coincide_are_not_called_active(gap):
     answered = 0

@@ -95,6 +95,7 @@ def test_a_recording_without_a_mode_is_no_failure():
     assert (fits.table["order"].tolist(), len(fits.failures), fits.table["mode"].tolist()) == ([0], 0, [-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["processes", "threads", "cluster"])
 def test_the_table_does_not_depend_on_where_it_is_computed(files, kind):
     here = phc.fit_many(files, **OPTIONS)
@@ -213,6 +214,7 @@ def test_what_is_in_the_store_is_not_fitted_again(files, tmp_path):
     assert kept.hertz[0] == first.table["hertz"][0]
 
 
+@pytest.mark.slow
 def test_what_has_changed_is_fitted_again(files, tmp_path):
     store = tmp_path / "results"
     first = phc.fit_many(files, store=store, **OPTIONS)
@@ -331,6 +333,7 @@ def crossing(outputs, recordings=200, noise=2e-4, missing=0.0, seed=0):
     return phc.FitTable(np.array(rows), tuple(seen), True), np.array(truth)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("missing", [0.0, 0.1])
 def test_a_mode_that_drifts_and_the_one_it_crosses_are_both_followed(missing):
     for seed in range(2):

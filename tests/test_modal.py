@@ -54,6 +54,7 @@ def frequencies_to_try(modes):
 # --- frequency response --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
 @pytest.mark.parametrize("name", SPECTRA)
 def test_the_frequency_response_is_right_to_1e_13_next_to_poles_and_zeros(name, scale):
@@ -198,6 +199,7 @@ def test_points_that_are_no_vector_of_numbers_are_refused(bad):
 # --- zeros ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
 @pytest.mark.parametrize("name", ["one", "regular", "spread over 1e12", "clustered to 1e-6"])
 def test_zeros_interlace_with_poles_and_are_right_to_the_last_digits(name, scale):

@@ -292,6 +292,7 @@ def test_what_has_no_picture_of_responses_is_refused(call, words):
         call()
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "options, label, size",
     [
@@ -700,6 +701,7 @@ def test_the_pictures_of_a_fit_show_its_data_names_and_errors(fitted):
         fitted.plot(kind="all")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
 def test_dots_of_an_accelerometer_lie_on_the_curve_up_to_the_nyquist_frequency(hold):
     """The feedthrough is held for no step, and the modes fold back."""

@@ -62,6 +62,7 @@ def scores(fit, p=P):
     ])  # fmt: skip
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("order", [4, "auto"])
 def test_all_modes_residues_and_noises_are_found_from_nothing(order):
     u, y, sizes = recorded(noise=np.array([0.001, 0.1, 1.0]))
@@ -84,6 +85,7 @@ def test_errors_of_residues_hold():
     assert 0.85 < np.sqrt(np.mean(np.square(found))) < 1.15
 
 
+@pytest.mark.slow
 def test_missing_samples_of_any_pattern_are_left_out():
     u, y, _ = recorded()
     y[0, np.random.default_rng(1).random(SAMPLES) < 0.2] = np.nan
@@ -133,6 +135,7 @@ def test_a_free_decay_needs_no_input():
     assert fit.residues.shape == (4, 3, 0)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("order", [2, "auto"])
 def test_modes_closer_than_their_width_are_told_apart_by_their_shapes(order):
     p = np.array([1.0, 1.0 + 1.5 * 2 * np.pi / SAMPLES]) * (-0.01 + 1j)
@@ -142,6 +145,7 @@ def test_modes_closer_than_their_width_are_told_apart_by_their_shapes(order):
     assert fit.order == 2 and np.abs(scores(fit, p)).max() < 4.5
 
 
+@pytest.mark.slow
 def test_what_is_fed_through_is_kept_where_it_stands_out():
     D = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 0.5]])
     u, y, _ = recorded(D=D)
@@ -153,6 +157,7 @@ def test_what_is_fed_through_is_kept_where_it_stands_out():
     assert felt.unknowns == fit.unknowns + 1
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("intersample", ["zoh", "foh"])
 def test_the_hold_that_needs_fewer_parameters_is_taken(intersample):
     fit = fitted(recorded(intersample=intersample)[:2])
@@ -168,6 +173,7 @@ def response(noise=0.01, seed=0, omega=OMEGA):
     return G + sizes[..., None] * (rng.standard_normal(G.shape) + 1j * rng.standard_normal(G.shape)), sizes
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("order", [4, "auto"])
 def test_a_response_matrix_gives_the_same_modes_entry_by_entry(order):
     G, sizes = response()
@@ -187,6 +193,7 @@ def test_many_lines_give_the_modes_of_all():
     assert np.allclose(np.sqrt(fit.noise_variance), sizes[:, :1], rtol=0.05)
 
 
+@pytest.mark.slow
 def test_weights_say_where_a_response_is_sure():
     G, _ = response(1e-4)
     poor = OMEGA > 1.5

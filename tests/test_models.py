@@ -594,6 +594,7 @@ def free_truss(rng, n=12):
     return np.diag(np.repeat(rng.uniform(1, 3, n), 3)), K
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("rounding", [0.0, 1e-15, 1e-14, 1e-13, 1e-12])
 def test_rigid_modes_of_a_stiffness_that_was_rounded_are_rigid_and_counted(rounding):
     for seed in range(12):

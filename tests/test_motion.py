@@ -71,6 +71,7 @@ def typical_state(sys, rng):
     return rng.standard_normal(2 * sys.n) * (powers if isinstance(sys, phc.ControllableHamiltonian) else powers[::-1])
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name", SPECTRA)
 @pytest.mark.parametrize("make", [phc.ch, phc.oh])
 @pytest.mark.parametrize("rule", RULES, ids="-".join)
@@ -171,6 +172,7 @@ def test_thirty_modes_respond_though_their_companion_matrix_tells_nothing():
     assert np.max(np.abs(np.array(impulses) - impulses[0])) < 1e-9 * np.max(np.abs(impulses[0]))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("rule", RULES, ids="-".join)
 @pytest.mark.parametrize("make", [phc.ch, phc.oh])
 @pytest.mark.parametrize("d", [np.arange(1.0, 8.0), 1 + 1e-3 * np.arange(6.0), np.repeat([1.0, 2.0], 3)])

@@ -63,6 +63,7 @@ def least_by_search(sys, grid):
     return found.fun * np.sum(x0**2)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", range(12))
 def test_the_nearest_model_is_passive_and_its_cost_is_the_h2_distance(seed):
     given = active_system(seed)
@@ -77,6 +78,7 @@ def test_the_nearest_model_is_passive_and_its_cost_is_the_h2_distance(seed):
         assert np.abs(given.poles() - pole).min() < 1e-6 * np.abs(pole)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", [20, 21, 22, 23])
 def test_no_nearer_model_is_found_by_a_general_solver(seed):
     given = active_system(seed, ports=1)
@@ -110,6 +112,7 @@ def test_ports_that_drive_nothing_and_poles_on_the_axis():
     assert wrong.cost == np.inf and wrong.nstates == 2
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", range(4))
 def test_a_weight_moves_the_feedthrough_too(seed):
     given = active_system(seed)
@@ -152,6 +155,7 @@ def noisy_fit(seed, ports=1):
     return phc.pem(ct.FrequencyResponseData(G, w), 3, structure="free", ports=pairs, **quantity)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed, ports", [(1, 1), (0, 2), *slowly((2, 1), (3, 1), (1, 2))])
 def test_a_fit_pays_in_likelihood_and_less_than_by_another_metric(seed, ports):
     fit = noisy_fit(seed, ports)
@@ -215,6 +219,7 @@ def test_the_cost_is_the_least_of_all_models_with_these_poles_and_inputs(seed):
     assert np.abs(model.D - system.D).max() <= 1e-13 * (1 + np.abs(system.D).max())
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", range(100, 116))
 def test_the_cost_is_that_of_a_semidefinite_program(seed):
     pytest.importorskip("cvxpy", reason="the semidefinite program needs the packages of the bench extra")
@@ -230,6 +235,7 @@ def squared_norm(system):
     return float(np.trace(C @ solve_continuous_lyapunov(A, -B @ B.T) @ C.T))
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=12, derandomize=True)
 @given(
     seed=st.integers(0, 2**31), damping=st.floats(-8, -1), rate=st.sampled_from([1e-9, 1.0, 1e9]),
@@ -251,6 +257,7 @@ def test_a_lightly_damped_mode_of_two_ports_costs_at_most_itself(seed, damping, 
     assert model.cost == pytest.approx(phc.nearest_passive(ct.ss(A, B, C, 0)).cost * rate * size**2, rel=1e-5)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("amount", [3e-2, 1e-4, 1e-6])
 @pytest.mark.parametrize("masses, ports", [(1, 2), (3, 2), (4, 3)])
 def test_a_disturbed_structure_costs_at_most_its_disturbance(masses, ports, amount):
@@ -263,6 +270,7 @@ def test_a_disturbed_structure_costs_at_most_its_disturbance(masses, ports, amou
     assert model.cost <= squared_norm(ct.ss(plant.A, plant.B, C - plant.C, 0)) * (1 + 1e-9)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "A",
     [[[-2.0]], [[-1.0, 1.0], [0.0, -1.0]], [[0.0, 1.0], [-4.0, -4.0]], np.diag([-1.0, -1 - 1e-9, -3.0]), -np.eye(3)],

@@ -39,6 +39,7 @@ def nodal(text, w):
 # --- lossless one-ports ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", range(0, 40, 5))
 @pytest.mark.parametrize(("kind", "form"), EVERY)
 def test_every_form_has_the_response_of_the_system_as_far_as_doubles_can_carry_it(kind, form, seed):

@@ -54,6 +54,7 @@ def test_what_a_quadratic_sensor_makes_of_a_decay_is_no_mode():
     assert not {1.0, 2.3} & set(multiples)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("driven", [True, False])
 def test_linear_plants_are_not_called_otherwise(driven):
     for seed in range(6):

@@ -47,6 +47,7 @@ def _calls(plant, u, y, folder):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_an_option_that_is_neither_true_nor_false_is_refused_by_name(record, tmp_path):
     for name, calls in _calls(*record, tmp_path).items():
         for call in calls:
@@ -88,6 +89,7 @@ def test_what_is_no_order_no_label_and_no_map_is_refused(record):
         phc.pem((u, y), 2, dt=0.1).bootstrap(2, rng=1, workers=lambda: None)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "workers", [lambda f, items: None, lambda f, items: [f(items[0])], lambda f, items: [None] * len(items)]
 )

@@ -70,6 +70,7 @@ def test_the_numbers_are_those_that_the_source_of_the_paper_gives(data_folder):
     assert (counts, equations) == (NUMBERED, EQUATIONS)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0])
 def test_every_function_and_every_test_of_a_row_exists(row):
     names = re.findall(r"`([^`]+)`", row[2])

@@ -140,6 +140,7 @@ def test_a_fit_without_a_function_has_no_parameters():
         _ = result.parameters
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("size", [1e-9, 1e9])
 def test_units_of_parameters_do_not_matter(size):
     result = phc.pem(

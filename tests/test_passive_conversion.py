@@ -30,6 +30,7 @@ def converted(system, **options):
     return form, max(1e-10, form.conversion.error if told else 0.0)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("storage", STORAGES)
 @settings(max_examples=13, deadline=None, derandomize=True)
 @SEEDS
@@ -44,6 +45,7 @@ def test_every_passive_system_has_an_exact_form(storage, seed):
     assert form.conversion.hidden == system.nstates - form.nstates
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", range(3))
 def test_a_hundred_states_and_six_ports(seed):
     system, _ = passive_system(seed, states=100, hidden=False)

@@ -63,6 +63,7 @@ def indefinite(poles, residues, D, omega, scattering=False):
     return np.linalg.eigvalsh(Phi)[:, 0], 1e-12 * ((1 + size**2) if scattering else size + np.linalg.norm(D))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", ["immittance", "scattering"])
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**31))

@@ -103,6 +103,7 @@ def test_the_form_is_the_same_in_any_units(seed, time, gain):
     np.testing.assert_allclose(k[k > 0] * time, d, rtol=1e-6)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("time", UNITS)
 @pytest.mark.parametrize("gain", [1e-12, 1.0, 1e12])
 def test_transfer_matrices_are_judged_in_any_units(time, gain):
@@ -129,6 +130,7 @@ def test_transfer_matrices_are_judged_in_any_units(time, gain):
             assert np.abs(form(s / time) / gain - wanted).max() <= 1e-8 * np.abs(wanted).max()
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("time", [1e-9, 1.0, 1e9])
 def test_polynomials_of_a_state_space_are_the_same_in_any_units(time):
     num, den = drawn(3)
@@ -258,6 +260,7 @@ def test_an_impedance_with_an_inductance_is_converted_as_admittance():
 # --- polynomials of state spaces ---------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("time", UNITS)
 @pytest.mark.parametrize("gain", UNITS)
 def test_a_state_space_keeps_its_poles_and_margins_in_any_units(time, gain):

@@ -53,6 +53,7 @@ def paper_system(name):
     return J @ Q, B, B @ Q
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name, seed", [("circuit", 0), ("circuit", 1), ("chain", 0)])
 @pytest.mark.parametrize("order", ["true", "auto"])
 def test_paper_experiments_are_continued_to_1e_8_over_the_next_4000_samples(name, order, seed):
@@ -73,6 +74,7 @@ def test_paper_experiments_are_continued_to_1e_8_over_the_next_4000_samples(name
     assert np.allclose(result.modes.minimal().r, truth[1], rtol=1e-8)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", range(2))
 def test_circuit_learned_from_a_sine_predicts_other_inputs_to_1e_6(seed):
     A, B, C = paper_system("circuit")
@@ -92,6 +94,7 @@ CHAIN_STATE = np.array([0.3, -0.2, 0.5, 0.1])
 KNOWN = {"intersample": "zoh", "delay": 0.0, "noise": "white", "offset": False}
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 def test_chain_with_an_exact_hold_does_not_show_its_weights_and_the_fit_warns(noise):
     # sin t drives a transmission zero of the chain: G(i) = 0
@@ -106,6 +109,7 @@ def test_chain_with_an_exact_hold_does_not_show_its_weights_and_the_fit_warns(no
     assert result.outcome.name == "DOUBTFUL"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["white", *slowly("multisine")])
 def test_another_input_of_the_same_length_shows_the_weights_to_the_cramer_rao_bound(kind):
     chain, t = phc.frenkel_kontorova(2), 0.01 * np.arange(1000)
@@ -127,6 +131,7 @@ def test_another_input_of_the_same_length_shows_the_weights_to_the_cramer_rao_bo
 KINDS = [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("method, intersample", KINDS)
 def test_noise_free_record_gives_the_plant_and_its_state(method, intersample):
     h = 0.002 if method == "euler" else 0.1
@@ -165,6 +170,7 @@ def test_units_of_time_and_output_do_not_change_the_answer(time, gain, seed):
 # --- noise -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "n, samples, snr, bins",
     [(2, 1000, 20, 3), (5, 1000, 20, 1.5), *slowly((5, 1000, 20, 3), (5, 2000, 10, 3), (10, 4000, 20, 3))],
@@ -218,6 +224,7 @@ def test_noise_variance_and_likelihood_are_those_of_the_residuals():
     assert result.whiteness > 1e-3 and "residuals are white" in result.message
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_auto_finds_the_number_of_modes(n):
     for seed in range(3):
@@ -231,6 +238,7 @@ def test_auto_finds_the_number_of_modes(n):
         assert min(result.order_table, key=lambda row: row.bic).order == n
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("outputs", [1, 2])
 def test_no_more_modes_than_the_largest_order_and_it_is_said(outputs):
     d = np.linspace(0.9, 11.0, 8)
@@ -278,6 +286,7 @@ def test_eight_modes_of_a_structure_are_found_to_1e_4(lund_modes):
     assert np.abs(result.d / d - 1).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_recording_of_a_robot_arm_is_not_flattered(data_folder):
     torque, acceleration = np.loadtxt(data_folder / "measured" / "robot_arm.dat", unpack=True)
     result = lossless_fit((torque, acceleration), dt=1.0, max_order=4)
@@ -336,6 +345,7 @@ def test_missing_outputs_are_left_out():
     assert "100 values missing" in result.summary()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples, order", [(3000, 2), *slowly((1000, "auto"), (17_000, 2))])
 def test_a_large_constant_of_the_sensor_changes_nothing_where_an_offset_is_fitted(samples, order):
     d, r = np.array([1.0, 2.5]), np.array([0.3, 0.2])
@@ -526,6 +536,7 @@ def test_a_result_comes_back_from_its_file_bit_by_bit(tmp_path):
         result.save(tmp_path / "result.json")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "field, value, message",
     [
@@ -588,6 +599,7 @@ def multisine(samples, lines, seed):
     return np.cos(phases).sum(axis=1)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", range(6))
 def test_lines_of_the_input_are_not_taken_for_modes(seed):
     rng = np.random.default_rng(seed)
@@ -638,6 +650,7 @@ def test_masked_outputs_are_missing_and_masked_inputs_refused():
         phc.pem((np.ma.array(u, mask=mask), y), 2, dt=0.1)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("method, intersample", KINDS)
 def test_a_record_that_goes_on_is_predicted_from_where_it_ended(method, intersample):
     h = 0.002 if method == "euler" else 0.1

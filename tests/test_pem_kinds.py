@@ -106,6 +106,7 @@ def three(noise, gaps=0.0, **options):
 # --- several experiments --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("quantity, offset", [("velocity", None), ("displacement", 3.0)])
 def test_several_experiments_have_the_optimum_of_the_dense_joint_problem(quantity, offset):
     experiments, steps, starts = three(0.2, gaps=0.05, quantity=quantity, offset=offset or 0.0)
@@ -115,6 +116,7 @@ def test_several_experiments_have_the_optimum_of_the_dense_joint_problem(quantit
     assert result.success and len(result.experiments) == 3
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("noise, order", [(0.0, [2, 0, 1]), (0.2, [1, 2, 0])])
 def test_order_of_the_experiments_does_not_matter(order, noise):
     experiments, steps, _ = three(noise)
@@ -153,6 +155,7 @@ def fit_of(quantity):
     return u, y, lossless_fit((u, y), 3, dt=0.1, quantity=quantity, **KNOWN)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=6, derandomize=True)
 @given(
     time=st.sampled_from([1e-9, 3e-4, 1.0, 1e9]), given_=st.sampled_from([1e-9, 1.0, 1e6]),
@@ -184,6 +187,7 @@ def test_answer_is_the_same_bit_by_bit_for_any_number_of_workers():
 # --- missing outputs ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("lost", ["a tenth", "the first", "blocks"])
 def test_missing_outputs_leave_the_optimum_of_what_is_left(lost):
     u, y, x, _ = recording(1000, noise=0.1)
@@ -287,6 +291,7 @@ def test_several_free_motions_share_their_frequencies_and_may_join_driven_record
 # --- sensors and offsets --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("offset", [0.0, -7.0])
 @pytest.mark.parametrize("quantity", QUANTITIES)
 @pytest.mark.parametrize("method, intersample", [("exact", "zoh"), ("exact", "foh"), ("midpoint", "foh")])
@@ -307,6 +312,7 @@ def test_noise_free_records_of_every_sensor_give_plant_and_state(quantity, offse
     assert np.abs(ahead.outputs - y).max() <= 1e4 * EPS * np.abs(y).max()
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("quantity", QUANTITIES)
 def test_wrong_sensor_is_not_called_consistent(quantity):
     u, y, _, _ = recording(600, noise=0.02, quantity=quantity)
@@ -362,6 +368,7 @@ def test_wrong_guesses_are_refused(guess, options, message):
         phc.pem((u, y), **{"order": 3, "dt": 0.1, "initial_guess": guess, **options})
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "criterion, kind",
     [("bic", "driven"), ("aicc", "free"), ("aic", "experiments"), ("holdout", "driven"), ("holdout", "experiments")],
@@ -376,6 +383,7 @@ def test_every_criterion_finds_the_order(criterion, kind):
     assert result.order == 3 and (np.abs(result.d - D) <= 4.5 * result.stderr["d"]).all()
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", ["driven", "free"])
 def test_nothing_is_found_in_noise(kind):
     found = []
@@ -391,6 +399,7 @@ def test_nothing_is_found_in_noise(kind):
 # --- interruption ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "order, sign, error", [(3, 1, StopIteration), ("auto", 1, KeyboardInterrupt), (3, -1, StopIteration)]
 )
@@ -458,6 +467,7 @@ def test_a_long_noise_free_record_is_reproduced_to_rounding():
     assert np.allclose(result.initial_state, x, rtol=0, atol=1e4 * EPS)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("order", [2, "auto"])
 def test_a_weak_mode_beside_a_strong_one_on_a_bin_is_found_in_a_long_record(order):
     bin_ = 2 * np.pi / (5000 * 0.1)
@@ -543,6 +553,7 @@ def plain(value):
     return value.hex() if isinstance(value, float) else value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_results_of_every_kind_come_back_bit_by_bit(tmp_path, kinds, kind):
     result = kinds[kind]

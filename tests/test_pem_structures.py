@@ -67,6 +67,7 @@ def test_one_output_may_be_any_sensor_by_a_word_a_list_or_its_label():
         phc.pem((u[0], y), dt=1.0, quantity="free", structure="passive")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", ["recording", "response"])
 def test_a_first_order_lag_beside_modes_is_a_real_pole(kind):
     rng, u = np.random.default_rng(1), np.random.default_rng(0).standard_normal(800)
@@ -105,6 +106,7 @@ def test_an_interpolated_input_is_told_by_the_structure():
 # --- several channels ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", ["time", "response"])
 def test_the_simplest_structure_that_stands_is_the_answer(kind):
     options = {"dt": 1.0} if kind == "time" else {}
@@ -117,6 +119,7 @@ def test_the_simplest_structure_that_stands_is_the_answer(kind):
     assert np.all(found.stderr["damping_ratios"] <= free.stderr["damping_ratios"] * 1.001)
 
 
+@pytest.mark.slow
 def test_labels_numbers_and_kinds_of_data_say_the_same():
     u, y = recording()
     t = np.arange(600.0)
@@ -127,6 +130,7 @@ def test_labels_numbers_and_kinds_of_data_say_the_same():
     assert second.output_labels == ("y1", "y2", "y3") and first.ports == second.ports
 
 
+@pytest.mark.slow
 def test_a_roving_hammer_and_roving_sensors_are_one_experiment_each():
     rng, t, parts = np.random.default_rng(4), np.arange(500.0), []
     for driven, seen in ((0, [0, 1]), (1, [0, 1]), (0, [0, 2])):
@@ -178,6 +182,7 @@ def test_the_search_starts_from_a_guess_and_tells_of_its_progress():
         phc.pem(recording(), dt=1.0, initial_guess="this")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "order, structure, error",
     [(2, "free", StopIteration), ("auto", "auto", KeyboardInterrupt), (2, "classical", StopIteration)],
@@ -255,6 +260,7 @@ def test_the_command_line_fits_channels_and_names_ports(tmp_path):
     assert refused.status == 2 and "not a list of ports" in refused.error
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("intersample, seed", [("zoh", 0), ("foh", 0), ("zoh", 2), ("foh", 1)])
 def test_the_hold_is_that_of_the_more_nearly_real_shapes(intersample, seed):
     """With one local damper, and a sensor away from the force, no structure stands, and both holds fit alike."""

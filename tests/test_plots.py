@@ -299,6 +299,7 @@ def test_the_axes_name_their_quantities_and_units():
     assert bode_plot(frenkel_kontorova(), gain_unit="m/s/N").axes[0, 0].get_ylabel() == "Magnitude [dB re 1 m/s/N]"
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(("limits", "labels"), [([6, 80], {"10", "20", "60"}), ([2.8, 3.6], {"3"}), ([0.2, 3], {"1"})])
 def test_a_narrow_range_of_frequencies_is_labelled_in_plain_numbers(limits, labels):
     plot = bode_plot(phc.modes([3.0, 10.0], [1.0, 1.0]), omega_limits=limits)
@@ -417,6 +418,7 @@ def test_measured_responses_have_no_breaks():
     assert x.tolist() == w.tolist()
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [5, 20, 100])
 def test_all_changes_of_the_reactance_are_drawn_and_the_curve_agrees_with_mpmath(n):
     rng = np.random.default_rng(n)
@@ -439,6 +441,7 @@ def test_all_changes_of_the_reactance_are_drawn_and_the_curve_agrees_with_mpmath
             assert abs(level[k] - float(20 * mpmath.log10(abs(G)))) <= 20 / np.log(10) * 1e-12 + 4 * EPS * abs(level[k])
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("gap", [1e-9, 1e-12, 1e-13, 1e-14, 3e-15])
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
 def test_modes_that_differ_in_their_last_digits_change_the_phase_as_well(gap, scale):
@@ -594,6 +597,7 @@ def test_a_result_of_a_fit_draws_its_own_band_always_the_same():
     assert len(bands_of(listed.axes[0, 0])) == 1
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("draw", [bode_plot, lambda *systems, **k: phc.step_plot(*systems, 5.0, **k)])
 def test_true_stands_for_the_bands_of_the_fits_in_the_picture(draw):
     chain = frenkel_kontorova()
@@ -602,6 +606,7 @@ def test_true_stands_for_the_bands_of_the_fits_in_the_picture(draw):
     np.testing.assert_array_equal(given.get_paths()[0].vertices, asked.get_paths()[0].vertices)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
 def test_a_fit_of_another_quantity_is_drawn_as_that_with_its_band(quantity):
     chain = frenkel_kontorova()
@@ -781,6 +786,7 @@ def drawn_texts(figure):
 HOSTILE = "v_{$ [m/s] 5$ \\$"
 
 
+@pytest.mark.slow
 def test_dollar_signs_in_names_labels_and_units_of_a_bode_plot_are_drawn_as_they_are():
     one = phc.ph(phc.modes(1.0, 1.0), name=HOSTILE)
     data = record(one, 1024, noise=2.0)

@@ -97,6 +97,7 @@ def test_with_white_noise_the_predictor_is_the_simulation():
     np.testing.assert_array_equal(result.predict(record, horizon=1).outputs, result.predict(record).outputs)
 
 
+@pytest.mark.slow
 def test_of_noise_of_first_order_the_predictor_is_the_formula_of_textbooks():
     """`yhat[k] = G u[k] + a (y[k-1] - G u[k-1])`."""
     result, u, y = in_coloured_noise()

@@ -53,6 +53,7 @@ def test_a_lag_is_found_beside_load_noise_of_its_size_and_its_interval_covers():
     assert np.mean(np.square(off)) < 2.5 and np.sum(np.abs(off) < 1.96) >= 2
 
 
+@pytest.mark.slow
 def test_a_plant_that_a_noise_model_could_swallow_is_found_with_its_dead_time():
     rng = np.random.default_rng(3)
     u = levels(rng, 1500, 25)
@@ -84,6 +85,7 @@ def test_a_dead_time_is_none_of_several_lags(seed):
     assert abs(result.time_constants[0] - 24) < 2
 
 
+@pytest.mark.slow
 def test_noise_that_wanders_without_end_is_modelled():
     # its autoregression takes the constant away: what was there before has no value at 0 Hz
     rng = np.random.default_rng(10)

@@ -186,6 +186,7 @@ DRIVES = ["noise", "constant", "resonance", "beating", "large, then nothing", "n
 LONG = 34_000  # samples, several of the pieces in which a record is worked off
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("drive", DRIVES)
 @pytest.mark.parametrize("rule", [("exact", "foh"), *slowly((("midpoint", "zoh"),))])
 def test_long_responses_to_hard_inputs_are_right_to_1e_13_of_the_largest_output(drive, rule):
@@ -200,6 +201,7 @@ def test_long_responses_to_hard_inputs_are_right_to_1e_13_of_the_largest_output(
         assert np.max(np.abs(y - truth)) < 1e-13 * np.max(np.abs(truth))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("rule", RULES)
 def test_a_long_record_of_several_ports_with_rigid_bodies_is_right_in_outputs_and_states(rule):
     rng = np.random.default_rng(4)
@@ -231,6 +233,7 @@ def test_what_cancels_at_a_transmission_zero_loses_no_more_than_the_digits_that_
         assert np.max(np.abs(y - truth)) < 1e-13 * size
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("time_unit", [1e-9, 1.0, 1e9])
 @pytest.mark.parametrize("amplitude", [1e-9, *slowly(1.0, 1e9)])
 def test_the_error_scales_with_the_units(time_unit, amplitude):
@@ -246,6 +249,7 @@ def test_the_error_scales_with_the_units(time_unit, amplitude):
         assert np.max(np.abs(y - truth)) < 1e-13 * size
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [1, 30, *slowly(2, 300)])
 def test_pieces_of_a_record_join_whatever_the_number_of_modes(n):
     """Many modes leave fewer blocks to a piece."""
@@ -284,6 +288,7 @@ def test_a_single_sample_is_the_initial_state_and_no_mode_is_silence():
     assert x.shape == (0, 5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "d",
     [np.sort(np.random.default_rng(7).uniform(0.05, 3.0, 100)), np.logspace(-6, 6, 100)],

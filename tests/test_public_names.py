@@ -45,6 +45,7 @@ def test_the_import_of_the_package_imports_none_of_its_modules(tmp_path):
     assert in_a_new_process(tmp_path, code) == "[]\n"
 
 
+@pytest.mark.slow
 def test_a_name_imports_what_it_needs(tmp_path):
     code = """if True:
         import sys, ph_control as phc
@@ -57,6 +58,7 @@ def test_a_name_imports_what_it_needs(tmp_path):
     assert in_a_new_process(tmp_path, code) == "[]\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["sorted(modules, reverse=True)", *slowly("sorted(modules)")])
 def test_modules_may_be_imported_in_any_order_and_hide_no_public_name(tmp_path, order):
     code = f"""if True:
@@ -69,6 +71,7 @@ def test_modules_may_be_imported_in_any_order_and_hide_no_public_name(tmp_path, 
     assert in_a_new_process(tmp_path, code) == "[]\n"
 
 
+@pytest.mark.slow
 def test_the_names_are_listed_before_they_are_imported_and_a_star_import_gives_these_and_no_other(tmp_path):
     code = """if True:
         import json, ph_control
@@ -88,6 +91,7 @@ def test_a_name_that_is_not_there_is_an_attribute_error(name):
     assert not hasattr(phc, name)
 
 
+@pytest.mark.slow
 def test_results_and_pickles_are_read_where_nothing_was_asked_for_yet(tmp_path):
     """In a process that has not imported what makes them."""
     make = """if True:

@@ -284,6 +284,7 @@ PLOTS = [
 ]
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("plot", PLOTS, ids=range(len(PLOTS)))
 def test_each_plot_of_python_control_draws_a_system(plot):
     picture = plot(chain())
@@ -326,6 +327,7 @@ def spans(picture):
     return [(axis.min(), axis.max()) for axis in (curve[:, 1] for curve in curves(picture, 1))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sys", "low", "high"),
     [
@@ -364,6 +366,7 @@ def test_the_phase_between_two_ports_falls_at_each_resonance_without_an_antireso
         assert np.max(np.abs(np.unwrap(np.angle(ours)) - np.unwrap(np.angle(damped)))) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_bode_plot_without_frequencies_and_of_several_ports_draws():
     for sys in ([chain(), controller()], two_port(), [floating(), ct.ss(floating())]):
         assert isinstance(ct.bode_plot(sys), ct.ControlPlot)

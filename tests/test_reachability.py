@@ -140,6 +140,7 @@ def test_well_conditioned_matrices_are_decided_and_rightly(n, seed, scale):
     assert np.max(np.abs(fast.minimal().r - [r[d == x].sum() for x in truth])) < 1e-9
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("condition", [1.0, 1e3])
 @pytest.mark.parametrize("what", ["gap", "weight"])
 def test_on_the_way_from_equal_to_different_the_decision_is_right_or_open_and_not_always_open(what, condition):

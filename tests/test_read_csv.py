@@ -504,6 +504,7 @@ def test_field_that_is_no_number_says_line_column_and_what_was_found(message, fi
     assert message(content).startswith(f"record.csv, line 5, column 1 ('u'): {expected}")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("field", ["1" * 200_000 + "x", "s" + 200_000 * " " + "m", "1+2" + 200_000 * " " + "x"])
 def test_field_or_label_of_any_length_is_answered(read, message, field):
     # a pattern that tried every way to split it would not come to an end here

@@ -28,6 +28,7 @@ def test_noise_that_grows_with_the_gain_adds_no_modes_and_its_intervals_hold(out
     assert np.mean(covered) > 0.8
 
 
+@pytest.mark.slow
 def test_the_share_of_the_gain_is_found_for_each_response_and_each_point_has_its_weight():
     result = phc.pem(response(3, 2, 1, "both", 0))
     finding = causes(result)["GAIN_NOISE"]
@@ -39,6 +40,7 @@ def test_the_share_of_the_gain_is_found_for_each_response_and_each_point_has_its
     np.testing.assert_allclose(result.noise_variance, 1.0, rtol=0.2)
 
 
+@pytest.mark.slow
 def test_constant_noise_keeps_equal_weights_and_given_ones_stay():
     data = response(3, 2, 1, "constant", 1)
     assert "GAIN_NOISE" not in causes(phc.pem(data)) and np.ptp(phc.pem(data).record.weights) == 0
@@ -53,6 +55,7 @@ def test_constant_noise_keeps_equal_weights_and_given_ones_stay():
 # --- recordings ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_intervals_cover_and_classical_damping_stands_beside_forces_that_were_not_measured():
     covered, rejected = [], []
     for seed in range(4):
@@ -80,6 +83,7 @@ def test_hits_keep_their_shapes_where_the_recorded_force_is_noisy():
     assert np.all(alike > 0.95 * np.sum(np.abs(found) ** 2, axis=1) * np.sum(np.abs(true) ** 2, axis=1))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("noise", ["input", "forces"])
 def test_noise_that_comes_through_the_modes_is_told_with_its_size(noise):
     result = phc.pem(recording(2, 1, 1, noise, 0, 3000), 2, dt=1.0, structure="free")
@@ -88,6 +92,7 @@ def test_noise_that_comes_through_the_modes_is_told_with_its_size(noise):
     assert finding.gain > 100 and "move the plant" in result.message and result.outcome.name == "CONSISTENT"
 
 
+@pytest.mark.slow
 def test_coloured_residuals_are_told_with_their_band_for_the_outputs_that_have_them(tmp_path):
     u, y = recording(2, 2, 1, "white", 4, 1500)
     y[1] = recording(2, 2, 1, "coloured", 4, 1500)[1][1]
@@ -114,6 +119,7 @@ def test_white_residuals_are_told_as_nothing():
         assert not {"COLOURED_RESIDUALS", "INPUT_NOISE", "OUTLIERS"} & causes(result).keys()
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(("outputs", "inputs"), SIZES)
 def test_a_value_far_out_of_the_noise_is_told_with_its_output(outputs, inputs):
     result = phc.pem(recording(2, outputs, inputs, "outlier", 1), 2, dt=1.0, structure="free")
@@ -161,6 +167,7 @@ def test_a_point_far_out_of_the_noise_is_told_with_its_entry():
 # --- the error over what is held out ---------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(("outputs", "inputs"), [(1, 1), (2, 1)])
 def test_the_order_is_that_of_the_least_error_over_what_is_held_out(outputs, inputs):
     assert phc.pem(response(3, outputs, inputs, "constant", 0), criterion="holdout", structure="free").order == 3
@@ -188,6 +195,7 @@ def test_few_lines_show_no_mode_and_fewer_are_refused():
         phc.pem(ct.frd(data.frdata[:, :, :1], data.omega[:1]))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "kind", ["an entry of zeros", "an input of zeros", "a line at 0", *slowly("an entry of five lines")]
 )
@@ -211,6 +219,7 @@ def test_an_entry_that_shows_nothing_does_not_hide_the_modes(kind):
 # --- delays and drifts -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "outputs", "inputs"), [("delay", 1, 1), *slowly(("drift", 3, 2))])
 def test_delays_and_drifts_are_named_and_add_no_modes(kind, outputs, inputs):
     u, y = recording(3, outputs, inputs, kind, 0)

@@ -52,6 +52,7 @@ def recording(name, seed=3, noise=0.02):
     return poles, residues, u, y + noise * np.std(y) * rng.standard_normal(len(u))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name", PLANTS)
 def test_real_poles_are_estimated_with_errors_that_hold(name):
     poles, residues, u, y = recording(name)
@@ -127,6 +128,7 @@ def test_a_response_shows_real_poles():
     assert np.all(np.abs(result.real_poles - poles) < 4 * result.stderr["real_poles"])
 
 
+@pytest.mark.slow
 def test_a_fit_with_real_poles_predicts_and_comes_back_from_a_file(tmp_path):
     poles, residues, u, y = recording("lag beside a mode")
     result = phc.pem((u, y), dt=H)
@@ -185,6 +187,7 @@ def carts(samples=1000, h=0.1, push=1.0, seed=0):
     return u, y
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("structure, seed", [("lossless", 1), ("auto", 2), ("auto", 4)])
 def test_a_cart_that_rolls_beside_a_mode_is_lossless(structure, seed):
     result = phc.pem(carts(seed=seed, push=0.5 * seed), dt=0.1, structure=structure)
@@ -198,6 +201,7 @@ def test_a_cart_that_rolls_beside_a_mode_is_lossless(structure, seed):
     assert np.isfinite(result.stderr["initial_state"]).all()
 
 
+@pytest.mark.slow
 def test_a_pair_that_turns_real_under_a_structure_leads_to_a_passive_model():
     rng = np.random.default_rng(96)
     t, u = 0.1 * np.arange(80), rng.standard_normal(80)
@@ -207,6 +211,7 @@ def test_a_pair_that_turns_real_under_a_structure_leads_to_a_passive_model():
     assert result.order <= 1
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("seed", range(2))
 def test_inputs_are_held_where_a_mode_beside_lags_says_so(seed):
     """With a residue of any phase no structure stands, and the fits themselves differ by what is fed through."""
@@ -220,6 +225,7 @@ def test_inputs_are_held_where_a_mode_beside_lags_says_so(seed):
 # --- beside a number of modes that is given --------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "zeros_and_poles, order, modes, real",
     [
@@ -250,6 +256,7 @@ def test_a_pair_without_a_peak_may_be_two_real_poles_under_a_structure():
     assert result.fit_percent > 95
 
 
+@pytest.mark.slow
 def test_a_pair_of_real_poles_does_not_become_more_modes_than_the_largest_order():
     rng = np.random.default_rng(6)
     rng.uniform()

@@ -120,6 +120,7 @@ GRID = list(
 )
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("spacing", ["random", "linear", "logarithmic"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_minimal_order_is_right_84_times_of_84(spacing, seed):

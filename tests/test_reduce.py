@@ -37,6 +37,7 @@ def damped_system(seed):
         seed += 1000
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("seed", [0, 1, *slowly(2, 3)])
 def test_reduced_systems_are_passive_and_the_bound_holds(method, seed):
@@ -116,6 +117,7 @@ def test_residual_modes_make_the_response_right_at_low_frequencies():
         assert np.abs(frame.poles() - pole).min() < 1e-9
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("port", [0, 99])
 @pytest.mark.parametrize("order", [8, *slowly(12, 20)])
 def test_residual_modes_do_not_resonate(port, order):
@@ -167,6 +169,7 @@ def test_all_states_and_one(method):
     assert small.nstates == 1 and phc.passivity(small).is_passive
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("rate", [1e-10, 1e10])
 @pytest.mark.parametrize("size", [1e12, *slowly(1e-12)])
 def test_the_error_bound_has_units(rate, size):
@@ -193,6 +196,7 @@ def test_a_tolerance_chooses_the_order():
     assert phc.reduce(chain, small.nstates - 2, method="balanced").error_bound > 0.01 * gain
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("method", METHODS)
 def test_sensors_names_and_pickles(method):
     n = 6

@@ -63,6 +63,7 @@ def test_what_may_be_semidefinite_has_no_factor_and_what_is_a_little_away_from_i
 CONDITIONS = [(1.0, 1.0), (1e2, 1e2), (1e6, 1.0), (1e6, 1e6), (1.0, 1e12)]
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [1, 2, 7, 40])
 @pytest.mark.parametrize(("stiff", "light"), CONDITIONS)
 @pytest.mark.parametrize("scales", [(1.0, 1.0), (1e9, 1e-9), (1e-9, 1e-9), (1e9, 1e9), (1e120, 1e-120)])

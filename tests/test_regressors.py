@@ -149,6 +149,7 @@ def record_for(samples, offset, moving, driven, missing, method, intersample, se
     return FreeRecord(u, y, observed, hold, moving, int(offset), True, driven, np.arange(2)), rng
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("method, intersample", HOLDS)
 @pytest.mark.parametrize("offset, moving, driven, missing", [
     (False, True, True, False), (True, True, True, True), (False, False, True, True), (True, True, False, False),
@@ -310,6 +311,7 @@ def record_of(u, y, intersample):
     return FreeRecord(inside, y[None], np.ones(LATE_SAMPLES, bool), Hold(LATE_STEP, "exact", intersample))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("intersample", ["zoh", "foh"])
 @pytest.mark.parametrize("delay", [0.35, 1.0, 3.6, -0.45, -1.2])
 def test_rows_with_a_delay_are_those_of_the_exact_motion(intersample, delay):

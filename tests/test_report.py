@@ -78,6 +78,7 @@ def test_page_stands_alone_with_all_its_parts(structure, tmp_path):
     assert (tmp_path / "again.html").read_text(encoding="utf-8") == text
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("options", [{"initial_state": "zero", "offset": True}, {"offset": False}])
 def test_the_call_on_the_page_repeats_initial_state_and_offset(options, tmp_path):
     rng, plant = np.random.default_rng(3), phc.ph(phc.modes([1.0, 2.5], [1.0, 0.4], damping=0.02))
@@ -94,6 +95,7 @@ def test_the_call_on_the_page_repeats_initial_state_and_offset(options, tmp_path
     assert "mast.csv" in text
 
 
+@pytest.mark.slow
 def test_page_of_a_lossless_fit_and_files_that_are_there(tmp_path):
     rng = np.random.default_rng(1)
     plant, u = phc.ph(phc.modes([1.0, 2.5], [1.0, 0.4])), rng.standard_normal(600)

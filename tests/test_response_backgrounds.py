@@ -29,6 +29,7 @@ def measured(values, omega=OMEGA):
     return ct.frd(values, omega, smooth=False)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "quantity, constant", [("displacement", 0.3 + 0.2j), ("velocity", 0.0), ("acceleration", 0.3 + 0.2j)]
 )
@@ -120,6 +121,7 @@ def test_terms_that_are_not_there_have_no_value_at_any_frequency():
             phc.ResponseBackground(large, 0 * large, ("velocity",)).response(omega)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("zeta", [0.02, *slowly(0.0)])
 @pytest.mark.parametrize("lines", [12, *slowly(24)])
 @pytest.mark.parametrize("order", [0, 2, 3])
@@ -139,6 +141,7 @@ def test_few_lines_show_modes_with_one_number_each(zeta, lines, order):
         assert np.allclose(result.residues[:, 0, 0] / (p / (2j * p.imag)), [one[0] for one in modes], rtol=0.1)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("line, size", [(0, 1e7), (77, 1e7), (300, 100.0)])
 def test_a_wild_line_is_named_and_hides_no_mode(line, size):
     omega = OMEGA - OMEGA[0]
@@ -181,6 +184,7 @@ def test_an_impedance_of_two_cells_has_their_elements():
     assert np.allclose(values, [10.0, 20.0, 50.0], rtol=0.02)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("number, resistances", [(2, (150.0, 503.0)), (3, (1504.0, 4633.0))])
 def test_measured_test_circuits_are_passive_models_of_real_poles(data_folder, number, resistances):
     path = data_folder / "impedance" / f"Circuit{number}_EIS_1.z"

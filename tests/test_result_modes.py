@@ -21,6 +21,7 @@ def fit(request):
     return phc.pem(ct.frd(response + noise, w), 2, quantity=request.param)
 
 
+@pytest.mark.variants
 def test_residues_and_feedthrough_are_those_of_the_observed_system(fit):
     s = 1j * np.array([0.3, 1.7, 5.0]) + 0.2
     terms = fit.residues[:, 0, 0, None] / (s - fit.poles[:, None])
@@ -36,6 +37,7 @@ def test_shapes_have_unit_modal_mass_and_make_the_residues_with_the_participatio
     assert fit.structure == "lossless" and fit.order == len(fit.poles) == 2
 
 
+@pytest.mark.variants
 def test_errors_are_those_of_draws(fit):
     draws = fit.sample(40_000, rng=1)
     residues, errors = draws.residues[:, :, 0, 0], fit.stderr["residues"][:, 0, 0]

@@ -48,6 +48,7 @@ def state_space(M, K, b):
     return A, np.r_[0 * b, np.linalg.solve(M, b)], np.c_[0 * b.T, b.T]
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("call", [phc.ph, phc.minreal])
 def test_two_free_masses_are_one_residue_at_zero_in_any_coordinates(call):
     for seed in range(150):
@@ -86,6 +87,7 @@ def value(A, B, C, s):
     return C @ np.linalg.solve(s * np.eye(len(A)) - A, B.astype(complex))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("decades", [0, 9])
 @pytest.mark.parametrize("condition", [1.0, 30.0, 1e4])
 def test_bodies_and_oscillators_in_any_coordinates_are_right_or_refused_for_their_condition(decades, condition):
@@ -109,6 +111,7 @@ def test_bodies_and_oscillators_in_any_coordinates_are_right_or_refused_for_thei
     assert answered >= 23
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("method", "hold"), [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]
 )

@@ -165,6 +165,7 @@ def test_draws_respect_the_restrictions(size, rank, seed):
     assert np.all(x[:, strict] > 0)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
 @pytest.mark.parametrize("ratio", [0.0, 0.3, 2.0])
 @pytest.mark.parametrize("rounds", [100, 0])
@@ -196,6 +197,7 @@ def first_marginal(mean, rho):
     return distribution_function(density, mean[0] + 9)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("rounds", [100, 0])
 @pytest.mark.parametrize("rho", [0.9, *slowly(0.0, -0.8)])
 @pytest.mark.parametrize("mean", [(0.0, 0.0), (0.2, 1.5)])
@@ -220,6 +222,7 @@ def moment(mean, rho, i, j):
     return float((w * x**i) @ density @ (w * x**j))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("spread, width", [(1e-3, 0.0), (1e-5, 1e-4), (1e-6, 1e-6)])
 def test_two_weights_of_which_only_the_sum_is_known_follow_their_distribution(spread, width):
     """Nearly nothing of the normal distribution is allowed, so that drawing again is hopeless."""
@@ -239,6 +242,7 @@ def test_two_weights_of_which_only_the_sum_is_known_follow_their_distribution(sp
         assert abs(np.corrcoef(column[:-1], column[1:])[0, 1]) < 4 / np.sqrt(len(x))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("total", [1e-4, 1e-9, 1e-15])
 def test_weights_whose_sum_is_known_exactly_keep_it_and_fill_the_segment(total):
     x = draw([0.3 * total, 0.7 * total], [[1, -1], [-1, 1]], 4000, 2, nonnegative=[True, True])

@@ -72,6 +72,7 @@ def test_canonical_forms_are_sampled_in_their_own_coordinates(make, rule):
     assert np.max(np.abs(sampled.C - sys.C)) == 0
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("make", [phc.ch, phc.oh])
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
 def test_fifteen_modes_in_canonical_form_are_sampled_as_in_modal_coordinates(make, hold):
@@ -85,6 +86,7 @@ def test_fifteen_modes_in_canonical_form_are_sampled_as_in_modal_coordinates(mak
     assert abs(found - truth) < 1e-11 * abs(truth)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("make", [phc.ch, phc.oh])
 def test_a_sampled_matrix_that_carries_no_digit_is_finite_and_warns(make):
     sys = make(0.05 * np.arange(1.0, 41.0), np.ones(80))

@@ -123,6 +123,7 @@ def test_every_modal_form_comes_back_bit_by_bit(tmp_path_factory, modes):
     assert_same_modes(modes, round_trip(modes, tmp_path_factory))
 
 
+@pytest.mark.slow
 @property_test
 @given(system=systems())
 def test_every_system_comes_back_bit_by_bit_with_its_names(tmp_path_factory, system):
@@ -755,6 +756,7 @@ def loads_the_same_or_refuses(obj, content, folder):
         assert_same(obj, restored)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
 @settings(deadline=None, max_examples=60, derandomize=True)
 @given(data=st.data())
@@ -787,6 +789,7 @@ anything = st.recursive(
 )
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
 @settings(deadline=None, max_examples=60, derandomize=True)
 @given(data=st.data())

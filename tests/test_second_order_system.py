@@ -54,6 +54,7 @@ def largest(difference):
 SENSORS = {"position": np.eye(N)[[40]], "acceleration": np.eye(N)[[100, 200]]}
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("damping", DAMPINGS)
 @pytest.mark.parametrize("count, sensors", [(2, SENSORS), *slowly((1, {}))])
 @pytest.mark.parametrize("method", ["modal", "balanced"])
@@ -70,6 +71,7 @@ def test_the_bound_holds_over_the_band_and_is_near_the_error(damping, count, sen
     assert error <= small.error_bound <= 1.2 * error + 0.05 * largest(exact)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("damping", DAMPINGS)
 def test_what_many_states_leave_is_what_the_modes_left_out_do(damping):
     # more states than the modes of the band and beyond have: the model of modes itself
@@ -145,6 +147,7 @@ def test_the_response_is_that_of_the_matrices():
     assert repr(structure) == "<SecondOrderSystem: 324 degrees of freedom, 2 ports, 3 sensors>"
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
 def test_units_do_not_matter(unit):
     C, F = DAMPINGS["one dashpot"], ports(1)

@@ -129,6 +129,7 @@ def test_missing_samples_do_not_count():
     assert FreeProjection([gappy], p).loss == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("samples", [2000, 20_000])
 @pytest.mark.parametrize("method, h", [("exact", 0.1), ("midpoint", 0.1), ("euler", 0.005)])
 @pytest.mark.parametrize("d", [0.2, 1.37, 9.1])

@@ -43,6 +43,7 @@ def everywhere(spectrum):
     return FreeWindow(spectrum, np.arange(1, spectrum.last + 1))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("damping", DAMPINGS)
 @pytest.mark.parametrize("hold", HOLDS)
 @pytest.mark.parametrize("samples, driven", [(200, True), (201, True), (200, False)])
@@ -114,6 +115,7 @@ def test_the_transform_of_a_model_is_that_of_its_columns(hold, driven):
     assert np.abs(found - expected).max() <= 100 * EPS * max(np.abs(one).max() for one in parts)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("hold", HOLDS)
 @pytest.mark.parametrize("place", [12.0, 12.0 + 1e-12, 12.0 - 1e-7, 12.0 + 1e-4, 12.002, 12.4])
 def test_transforms_of_motions_lie_in_the_span_of_the_columns_on_a_bin_as_well(hold, place):

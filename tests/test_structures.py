@@ -131,6 +131,7 @@ def dense_start(kind, fit):
     return np.concatenate([fit.p.imag, *decay, fit.feedthrough.ravel(), np.zeros(12), *shapes])
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("gaps", [False, True])
 @pytest.mark.parametrize("kind", ["lossless", "classical", "rank one", "reciprocal"])
 def test_minimum_is_that_of_all_unknowns_together(kind, gaps):
@@ -151,6 +152,7 @@ def test_minimum_is_that_of_all_unknowns_together(kind, gaps):
     assert fit.parameters == np.count_nonzero(np.any(J, axis=0)) - 12
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", ["lossless", "classical", "rank one", "reciprocal"])
 def test_gradient_and_derivatives_are_those_of_differences(kind):
     *_, at, layout = free_fit(kind)
@@ -262,6 +264,7 @@ def test_exact_data_stand_on_rounding():
     assert fit.structure == "lossless" and np.allclose(fit.p, p, rtol=1e-10)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", ["lossless", "lightly damped", "dashpot", "sensor beside", "gyroscope"])
 def test_true_structures_stand_and_false_ones_are_found(kind):
     """Seeded, at 20 dB: chance rejects what is true in more than 2 of 6 once in 500 times; all find what is false."""
@@ -331,6 +334,7 @@ def least_passive_loss(u, y, scale, fit):
     return loss(end.x)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(("kind", "seed"), [("dashpot", 3), ("lossless", 0), ("lossless", 3)])
 def test_passive_minimum_is_that_of_quadratic_programming_on_a_grid(kind, seed):
     u, y, at, layout, region = one_port(kind, seed)
@@ -354,6 +358,7 @@ def test_a_free_fit_that_is_passive_stays_as_it_is():
     assert fit.structure == "passive" and fit.loss == at.loss and np.array_equal(fit.p, at.p)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration"])
 def test_passivity_is_that_of_the_velocity_whatever_was_measured(quantity):
     """Two ports, entries of a response matrix: the mobility of the passive model is passive, and others were not."""

@@ -108,6 +108,7 @@ def test_every_picture_is_a_control_plot_with_lines_and_labels_on_every_panel(pi
     assert all(axis.get_xlabel() for axis in plot.axes[-1])
 
 
+@pytest.mark.variants
 @all_pictures
 def test_every_picture_is_drawn_on_axes_of_ones_own(picture, shape):
     figure, axes = plt.subplots(*shape, squeeze=False)
@@ -119,6 +120,7 @@ def test_every_picture_is_drawn_on_axes_of_ones_own(picture, shape):
         picture(ax=plt.subplots(7)[1])
 
 
+@pytest.mark.variants
 @all_pictures
 def test_every_picture_takes_a_title_a_grid_a_legend_and_settings(picture, shape):
     plot = picture(title="$T$", grid=False, show_legend=False, rcParams={"axes.facecolor": "#fafaf0"})
@@ -158,6 +160,7 @@ def same_picture(one, other):
     return len(pairs) > 0 and all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "function, make",
     [

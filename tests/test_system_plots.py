@@ -368,6 +368,7 @@ def test_a_band_is_not_drawn_where_it_would_be_aliased_or_where_there_is_none():
 # --- modes ---
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("quantity", ["kappa", "r"])
 def test_a_stem_stands_at_every_frequency_as_high_as_its_weight(quantity):
     modes = phc.modes([1.0, 2.0, 5.0], [1.0, 0.25, 0.5])

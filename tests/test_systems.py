@@ -252,6 +252,7 @@ UNARY = [
 ]
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("operand", ["ph", "modal", "floating", "two", "nothing"])
 @pytest.mark.parametrize(("what", "change", "expected", "values"), UNARY, ids=[row[0] for row in UNARY])
 def test_each_change_of_one_system_gives_the_documented_type_and_transfer_function(
@@ -642,6 +643,7 @@ def test_small_systems_and_many_ports_take_frequencies_from_the_modes():
         assert sys.d is sys.modes.d
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [12, 20])
 def test_the_response_is_that_of_the_frequencies_shown_before_and_after_the_modes_are_asked_for(n):
     Q, B = large(n)

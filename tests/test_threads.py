@@ -65,6 +65,7 @@ def test_fits_at_the_same_time_have_one_thread_of_the_first():
     assert inside and all(one == [1] * len(before) for one in [*inside, *after]) and threads() == before
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("method", ["modal", "balanced", "h2"])
 def test_reduced_models_do_not_depend_on_the_number_of_threads(method):
     chain, before = phc.msd_chain(15), threads()

@@ -97,6 +97,7 @@ def plain(kind: str) -> str:
     return re.sub(rf"ndarray{inside}", "ndarray", kind)
 
 
+@pytest.mark.slow
 def test_results_and_wrong_options_are_known_before_the_program_runs(checked):
     revealed = {line: plain(text.split('"')[1]) for line, text in checked if "Revealed type" in text}
     refused = {line: text.rpartition("[")[2].rstrip("]") for line, text in checked if text.startswith("error")}

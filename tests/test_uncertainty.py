@@ -81,6 +81,7 @@ def residues_of(d, r, quantity):
     return 0.5 * sign * r * d**power, 0.5 * sign * slopes
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("count", [1, 2])
 @pytest.mark.parametrize("offset", [False, True])
 @pytest.mark.parametrize("quantity", QUANTITIES)

@@ -40,6 +40,7 @@ def fits():
     return [(phc.pem(pair, dt=STEP, ports=[(0, 0)]), phc.pem(pair[:1], 3, dt=STEP, ports=[(0, 0)])) for pair in data]
 
 
+@pytest.mark.slow
 def test_a_loud_experiment_does_not_spoil_a_quiet_one(fits):
     errors = np.array([[f.natural_frequencies - np.abs(POLES) for f in pair] for pair in fits])
     both, quiet = np.sqrt(np.mean(errors**2, axis=0))
@@ -73,6 +74,7 @@ def test_residuals_and_predictions_are_in_the_units_of_the_data(fits):
         assert missed < 1e-3 * experiment.noise_scale**2
 
 
+@pytest.mark.slow
 def test_experiments_of_the_same_noise_share_it():
     for seed in range(2):
         result = phc.pem(experiments(0.1, 0.1, seed=seed), dt=STEP, ports=[(0, 0)])
@@ -80,6 +82,7 @@ def test_experiments_of_the_same_noise_share_it():
         assert "UNEQUAL_NOISE" not in {finding.cause.name for finding in result.findings}
 
 
+@pytest.mark.slow
 def test_files_and_resamples_know_the_noise_of_each_experiment(fits, tmp_path):
     result = fits[0][0]
     result.save(tmp_path / "fit.json")

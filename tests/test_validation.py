@@ -564,6 +564,7 @@ def test_pictures_are_drawn_on_axes_that_are_given():
             result.plot(ax=plt.subplots(3)[1], **({"detail": None} if result is found else {}))
 
 
+@pytest.mark.slow
 def test_the_picture_of_residuals_shows_both_correlations_and_their_bands():
     u, y = recording(noise=0.1, samples=1000)
     analysis = residual_analysis((u, y), phc.pem((u, y), order=1, dt=STEP), horizon=None)

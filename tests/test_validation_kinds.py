@@ -73,6 +73,7 @@ def fit_of(y, predicted):
 # --- comparison: several experiments, quantities, offsets ------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("quantity", QUANTITIES)
 def test_a_plant_explains_all_of_its_noise_free_data_of_every_kind(quantity):
     data = experiments(quantity, offset=3.0)

@@ -101,6 +101,7 @@ def matrix(system, blocks, seed, noise=0.1):
 # --- the mean --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("window", "hold", "quantity"),
     [

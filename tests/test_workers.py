@@ -34,6 +34,7 @@ def record():
     return u, y + 0.05 * rng.standard_normal(400)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", ["processes", "threads", "cluster"])
 def test_answers_do_not_depend_on_where_they_are_computed(record, kind):
     fit = phc.pem(record, 2, dt=0.1)
@@ -56,6 +57,7 @@ def test_what_is_neither_number_nor_executor_is_refused(record):
             phc.order_selection(record, 2, dt=0.1, holdout=0.3, workers=value)
 
 
+@pytest.mark.slow
 def test_a_script_without_a_main_part_is_told_what_it_lacks(tmp_path):
     (tmp_path / "script.py").write_text(
         "import numpy as np, ph_control as phc\n"
