@@ -7,8 +7,14 @@ from pathlib import Path
 
 import pytest
 from scripts import ROOT, run, run_script
+from slow import slowly
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+# some seconds each; the gallery of the documentation runs them too
+LONG = {
+    "ambient_tower", "arm_to_controller", "cantilever", "hammer_test", "motor_to_notch", "paper_chain", "plants",
+    "robust_damping", "roving_hammer", "several_experiments", "shaker_test", "unknown_dimension",
+}  # fmt: skip
 
 
 def shown() -> set[str]:
@@ -27,7 +33,18 @@ def test_there_are_examples():
     assert EXAMPLES
 
 
-@pytest.mark.parametrize("script", EXAMPLES, ids=lambda script: script.stem)
+def test_long_examples_exist():
+    assert {script.stem for script in EXAMPLES} > LONG
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        *(script for script in EXAMPLES if script.stem not in LONG),
+        *slowly(*(script for script in EXAMPLES if script.stem in LONG)),
+    ],
+    ids=lambda script: script.stem,
+)
 def test_an_example_runs_in_an_empty_folder(script, tmp_path):
     """It writes the pictures that it names into the folder it runs in."""
     done = run_script(tmp_path, script)

@@ -100,6 +100,7 @@ def test_damped_modes_of_a_long_record_get_a_damped_answer(disk, noise):
     np.testing.assert_allclose(np.var(result.residuals), result.noise_variance, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_channels_in_single_precision_stay_on_the_disk(disk, noise):
     shapes = np.array([[1.0, 1.0, 1.0], [1.0, -0.5, 2.0]])
     y = moved(noise[0], 0.01, shapes) + [[0.5], [2.0]] * noise[1:]
