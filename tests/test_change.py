@@ -410,7 +410,6 @@ def test_without_a_reference_the_first_recording_is_one():
     assert chart.alarms.tolist()[0] == 5
 
 
-@pytest.mark.slow
 def test_the_limit_is_that_of_the_rate_of_false_alarms():
     """Runs of normal scores by random numbers: their mean length is the inverse of the rate that is said."""
     chart = monitored().changes(false_alarms=0.05, shift=1.0)

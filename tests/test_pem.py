@@ -170,7 +170,6 @@ def test_units_of_time_and_output_do_not_change_the_answer(time, gain, seed):
 # --- noise -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.variants
 @pytest.mark.parametrize(
     "n, samples, snr, bins",
     [(2, 1000, 20, 3), (5, 1000, 20, 1.5), *slowly((5, 1000, 20, 3), (5, 2000, 10, 3), (10, 4000, 20, 3))],
@@ -224,7 +223,6 @@ def test_noise_variance_and_likelihood_are_those_of_the_residuals():
     assert result.whiteness > 1e-3 and "residuals are white" in result.message
 
 
-@pytest.mark.variants
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_auto_finds_the_number_of_modes(n):
     for seed in range(3):
@@ -238,7 +236,6 @@ def test_auto_finds_the_number_of_modes(n):
         assert min(result.order_table, key=lambda row: row.bic).order == n
 
 
-@pytest.mark.variants
 @pytest.mark.parametrize("outputs", [1, 2])
 def test_no_more_modes_than_the_largest_order_and_it_is_said(outputs):
     d = np.linspace(0.9, 11.0, 8)
