@@ -136,7 +136,7 @@ FAULTS = (
         "np.exp(-1j * self.omega * self.delay)",
         "delays",
     ),
-    fault(f"{ID}/search/criteria.py", "parameters * float(np.log(samples)) - 2", "2 * parameters - 2", "pem"),
+    fault(f"{ID}/search/criteria.py", "parameters * float(np.log(samples)) - 2", "2 * parameters - 2", "pem", "hum"),
     fault(f"{ID}/structure/hypothesis_tests.py", "\nLEVEL = 0.05", "\nLEVEL = 0.95", "pem_structures", "damped_model"),
     fault(
         f"{ID}/structure/delayed.py",
