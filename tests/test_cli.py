@@ -430,7 +430,19 @@ def test_demo_leaves_recordings_models_and_pictures_and_finds_the_truth(tmp_path
     assert "1 of 1 visible modes found" in done.out and "2 of 2 visible modes found" in done.out
     assert np.allclose(phc.load(folder / "circuit.json").d, [1.0], rtol=1e-3)
     assert np.allclose(phc.load(folder / "chain.json").d, [0.6180339887, 1.6180339887], rtol=1e-3)
-    # a second run finds a free folder; a folder with something in it is refused
+    # a folder with something in it is refused
+    refused = run("demo", "--folder", folder)
+    assert refused.status == 2 and "not an empty folder" in refused.error
+    # what the demonstration proposes to do next works
+    command = re.search(r"Next: ph-control (.*)", done.out)[1].split()
+    assert run(*command).status == 0 and (tmp_path / "my_model.json").exists()
+
+
+@pytest.mark.slow
+def test_a_second_demo_finds_a_free_folder_and_the_truth(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "ph_control_demo").mkdir()
+    (tmp_path / "ph_control_demo" / "kept.txt").touch()
     without_pictures(monkeypatch)
     answer = strict_json(run("demo", "--seed", 1, "--json").out)
     assert answer["folder"] == "ph_control_demo-2" and (tmp_path / "ph_control_demo-2" / "chain.json").exists()
@@ -438,11 +450,6 @@ def test_demo_leaves_recordings_models_and_pictures_and_finds_the_truth(tmp_path
     assert np.allclose(chain["fit"]["d"], chain["true"]["d"], rtol=1e-3)
     assert np.allclose(structure["fit"]["hertz"], structure["true"]["hertz"], rtol=1e-3)
     assert np.allclose(structure["fit"]["damping_ratios"], structure["true"]["damping_ratios"], rtol=0.1)
-    refused = run("demo", "--folder", folder)
-    assert refused.status == 2 and "not an empty folder" in refused.error
-    # what the demonstration proposes to do next works
-    command = re.search(r"Next: ph-control (.*)", done.out)[1].split()
-    assert run(*command).status == 0 and (tmp_path / "my_model.json").exists()
 
 
 def test_progress_is_shown_on_a_terminal_only(recording):

@@ -8,8 +8,8 @@ import ph_control as phc
 STEP, SAMPLES, PEAK, NOISE = 0.02, 3000, 150.0, 0.03
 PLANT = phc.spring_chain([1.0, 1.0, 1.0], 40.0, ground=[40.0, 0, 0], c=0.02, port=2)
 TIME = STEP * np.arange(SAMPLES)
-# nothing else is searched for: neither lags nor delays nor another hold
-KNOWN = {"intersample": "foh", "real_poles": 0, "delay": 0.0}
+# nothing else is searched for: neither lags nor delays nor forces nor another hold
+KNOWN = {"intersample": "foh", "real_poles": 0, "delay": 0.0, "noise": "white"}
 
 
 def names(result):

@@ -33,15 +33,20 @@ def experiments(*sizes, seed=0):
     return data
 
 
+def fit_of(data, order="auto"):
+    return phc.pem(data, order, dt=STEP, ports=[(0, 0)])
+
+
 @pytest.fixture(scope="module")
-def fits():
-    """Fits to a quiet and a loud experiment, and to the quiet alone."""
-    data = [experiments(0.02, 0.5, seed=seed) for seed in range(3)]
-    return [(phc.pem(pair, dt=STEP, ports=[(0, 0)]), phc.pem(pair[:1], 3, dt=STEP, ports=[(0, 0)])) for pair in data]
+def both():
+    """Fit to a quiet and a loud experiment."""
+    return fit_of(experiments(0.02, 0.5, seed=0))
 
 
 @pytest.mark.slow
-def test_a_loud_experiment_does_not_spoil_a_quiet_one(fits):
+def test_a_loud_experiment_does_not_spoil_a_quiet_one():
+    data = [experiments(0.02, 0.5, seed=seed) for seed in range(3)]
+    fits = [(fit_of(pair), fit_of(pair[:1], 3)) for pair in data]
     errors = np.array([[f.natural_frequencies - np.abs(POLES) for f in pair] for pair in fits])
     both, quiet = np.sqrt(np.mean(errors**2, axis=0))
     assert np.all(both < 1.15 * quiet)
@@ -52,8 +57,8 @@ def test_a_loud_experiment_does_not_spoil_a_quiet_one(fits):
     assert {f.structure for f, _ in fits} == {"classical"}
 
 
-def test_the_noise_of_each_experiment_is_said(fits):
-    result = fits[0][0]
+def test_the_noise_of_each_experiment_is_said(both):
+    result = both
     quiet, loud = (experiment.noise_scale for experiment in result.experiments)
     np.testing.assert_allclose(loud / quiet, 25, rtol=0.1)
     np.testing.assert_allclose(loud * quiet, 1, rtol=1e-9)
@@ -65,8 +70,8 @@ def test_the_noise_of_each_experiment_is_said(fits):
     assert finding.gain > 1000 and "The noise of experiment 2 is 25" in result.message
 
 
-def test_residuals_and_predictions_are_in_the_units_of_the_data(fits):
-    result, data = fits[0][0], experiments(0.02, 0.5)
+def test_residuals_and_predictions_are_in_the_units_of_the_data(both):
+    result, data = both, experiments(0.02, 0.5)
     for experiment, (u, y) in zip(result.experiments, data, strict=True):
         np.testing.assert_array_equal(experiment.record.u, u)
         np.testing.assert_array_equal(experiment.record.y, y)
@@ -83,8 +88,8 @@ def test_experiments_of_the_same_noise_share_it():
 
 
 @pytest.mark.slow
-def test_files_and_resamples_know_the_noise_of_each_experiment(fits, tmp_path):
-    result = fits[0][0]
+def test_files_and_resamples_know_the_noise_of_each_experiment(both, tmp_path):
+    result = both
     result.save(tmp_path / "fit.json")
     again = phc.load(tmp_path / "fit.json")
     assert [e.noise_scale for e in again.experiments] == [e.noise_scale for e in result.experiments]
