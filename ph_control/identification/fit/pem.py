@@ -29,7 +29,7 @@ from ..._options import (
     Structure,
 )
 from ..._threads import on_one_thread
-from ..._types import ArrayLike, RandomSource
+from ..._types import ArrayLike, ComplexArray, RandomSource
 from ..._workers import check_workers
 from ...exceptions import IdentifiabilityWarning, StructureError
 from ..data.channels import Channels, ResponseHold
@@ -40,6 +40,7 @@ from ..diagnosis.verdict import WHITE, Outcome
 from ..parameters.model_function import ModelFunction
 from ..search.findings import Cause, Finding
 from ..search.progress import Callback
+from ..search.starting_poles import poles_of
 from ..structure.parametric import PARAMETRIC, for_channels
 from .modal_fit import fit_channels
 from .options import Options, request_of, starting_poles
@@ -266,7 +267,7 @@ def pem(
         request = replace(request, structure=PARAMETRIC, function=for_channels(function, channels))
     start = starting_poles(initial_guess, channels, options)
 
-    def fit(data: Any, poles: Any = start, **more: Any) -> PEMResult:
+    def fit(data: Any, poles: ComplexArray | None = start, **more: Any) -> PEMResult:
         return fit_channels(data, request, options, poles, **more)
 
     with heard_by(callback) as heartbeat:
@@ -337,7 +338,7 @@ def _beside_hammer_noise(channels: Channels, fit: Any) -> PEMResult:
     if not result.states or result.outcome is Outcome.INTERRUPTED:
         return result
     # what the channel shows between hits may be a force
-    rival = fit(channels, result.poles[result.poles.imag >= 0], order=result.order)
+    rival = fit(channels, poles_of(result), order=result.order)
     if rival.outcome is Outcome.INTERRUPTED or rival.loglik <= result.loglik:
         return result
     return fit(channels)
