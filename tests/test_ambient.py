@@ -30,6 +30,7 @@ def fit(record):
 # --- modes and their errors ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_modes_of_ambient_excitation_lie_within_their_intervals():
     z, law = [], []
     for seed in range(2):
@@ -85,6 +86,7 @@ def test_several_recordings_have_one_model():
     np.testing.assert_allclose(both.stderr["damping_ratios"], alone.stderr["damping_ratios"] / np.sqrt(2), rtol=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("outputs", [1, 8])
 def test_one_output_or_many(outputs):
@@ -98,6 +100,7 @@ def test_one_output_or_many(outputs):
 # --- what is ambient, and what is not --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_free_decay_is_none(fit):
     t = STEP * np.arange(1500)
     decays = np.exp(np.outer(2 * np.pi * HERTZ * (-ZETA + 1j * np.sqrt(1 - ZETA**2)), t)).real
@@ -123,6 +126,7 @@ def test_a_wind_that_is_not_white_is_a_real_pole():
     assert abs(result.real_poles[0] - np.log(0.95)) < 4 * result.stderr["real_poles"][0]
 
 
+@pytest.mark.slow
 def test_a_machine_is_named_and_is_no_mode():
     y, t = ambient(6, 4000), STEP * np.arange(4000)
     y += np.array([[0.5], [0.3], [-0.4]]) * y.std(axis=1, keepdims=True) * np.sin(2 * np.pi * 6.1 * t + 1)
@@ -138,6 +142,7 @@ def test_a_machine_is_named_and_is_no_mode():
 # --- options, and errors ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_orders_that_are_given_are_taken(record):
     assert phc.pem((None, record), 2, dt=STEP, noise="forces").order == 2
     result = phc.pem((None, record), 3, dt=STEP, real_poles=1)

@@ -120,6 +120,7 @@ def test_a_state_is_given_as_a_vector_or_as_one_number(quantity):
 LAST, RAMP = np.eye(1, 300, 299)[0], TIME.copy()
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.filterwarnings("ignore::ph_control.exceptions.IdentifiabilityWarning")
 @pytest.mark.parametrize(

@@ -202,6 +202,7 @@ def test_records_from_rest_are_told_from_others(kind, fitted):
 # --- white noise: the standard errors of theory ----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(
     "kind",
@@ -249,6 +250,7 @@ def test_percentile_intervals_under_white_noise_are_those_of_the_normal_distribu
             assert np.abs((boot[name] - normal[name]) / error).max() < 3.5 * spread
 
 
+@pytest.mark.slow
 def test_the_noise_that_is_drawn_has_the_variance_of_the_noise_and_no_mean(fitted):
     for kind in ("plain", "offset", "missing"):
         result, refit = fitted(kind), module._Refit.of(fitted(kind))
@@ -419,6 +421,7 @@ def parts(bootstrap):
     return [getattr(bootstrap, field.name) for field in dataclasses.fields(bootstrap)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["several", *slowly("response")])
 def test_the_answer_does_not_depend_on_the_workers(kind, fitted):
     result = fitted(kind)
@@ -442,6 +445,7 @@ def test_seeds_generators_and_none(fitted):
     assert not np.array_equal(result.bootstrap(3).d, result.bootstrap(3).d)
 
 
+@pytest.mark.slow
 def test_a_result_from_a_file_is_resampled_alike(fitted, tmp_path):
     for kind in ("several", "response"):
         fitted(kind).save(tmp_path / f"{kind}.json")
@@ -465,6 +469,7 @@ def breaks_down(*args, **kwargs):
     raise np.linalg.LinAlgError("SVD did not converge")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [breaks_down, *slowly(unconverged)])
 def test_refits_that_fail_are_counted_and_left_out(how, fitted, monkeypatch):
     whole = fitted("several").bootstrap(12, rng=5)
@@ -512,6 +517,7 @@ def test_an_estimate_off_the_minimum_is_refused(fitted):
 # --- what is handed out ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_bands_hold_the_refitted_models(fitted):
     again = fitted("plain").bootstrap(20, rng=0)
     omega = np.array([0.4, 1.7, 3.0])

@@ -338,6 +338,7 @@ def test_a_mode_that_only_one_fit_has_is_listed():
     assert more.compare(fitted()).only_before.tolist() == [1]
 
 
+@pytest.mark.slow
 def test_shapes_tell_modes_apart_whose_frequencies_have_crossed():
     def crossed(d, seed):
         shapes = np.array([[1.0, 0.9], [1.0, -0.8]])
@@ -383,6 +384,7 @@ def monitored():
                         reference=fitted())  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_chart_of_many_recordings_alarms_where_the_plant_has_changed():
     chart = monitored().changes(false_alarms=0.01)
     assert chart.alarms.tolist() == [4, 5, 6] and chart.start == 4

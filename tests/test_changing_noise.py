@@ -48,6 +48,7 @@ def fits():
     return pairs
 
 
+@pytest.mark.slow
 def test_the_span_and_its_size_are_named(fits):
     for result, _ in fits:
         (finding,) = changes_in(result)

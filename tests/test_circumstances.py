@@ -42,6 +42,7 @@ def test_a_constant_of_the_sensor_is_estimated_and_named(samples, order):
     np.testing.assert_allclose(causes(result)["CONSTANT"].values, result.offsets)
 
 
+@pytest.mark.slow
 def test_a_drift_of_the_sensor_is_estimated_and_named():
     samples = 600
     plant, u, _, y, size = recording(1, samples=samples)
@@ -164,6 +165,7 @@ def test_a_mode_slower_than_the_record_is_called_a_drift():
 # --- noise -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("drift, order, delays", [(0.0, "auto", (1,)), (1.0, 2, (8,)), *slowly((0.0, "auto", (8,)))])
 def test_a_delay_of_a_damped_plant_is_named_and_none_where_there_is_none(drift, order, delays):
@@ -186,6 +188,7 @@ def test_a_delay_of_a_damped_plant_is_named_and_none_where_there_is_none(drift, 
         np.testing.assert_allclose(late.damping_ratios, on_time.damping_ratios, rtol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *slowly(1)])
 def test_coloured_noise_is_named_and_adds_no_modes(seed):
     plant, u, clean, _, size = recording(6 + seed)
@@ -201,6 +204,7 @@ def test_coloured_noise_is_named_and_adds_no_modes(seed):
     assert result.outcome.name == "COLOURED"
 
 
+@pytest.mark.slow
 def test_noise_on_the_input_is_named_and_adds_few_modes():
     _, u, _, y, _ = recording(11)
     result = phc.pem((u + 0.1 * np.random.default_rng(0).standard_normal(1200), y), 3, dt=1.0)

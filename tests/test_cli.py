@@ -130,6 +130,7 @@ def test_the_answer_as_json_has_all_numbers_in_full(recording, tmp_path):
     assert [row["order"] for row in answer["order_table"]] == [row.order for row in kept.order_table]
 
 
+@pytest.mark.slow
 def test_several_recordings_are_several_experiments(recording, tmp_path):
     t, u, y = chain_recording(np.random.default_rng(2), 400)
     other = table(tmp_path / "other.csv", "time,force,speed", t, u, y + 5.0)
@@ -229,6 +230,7 @@ def test_choices_are_those_of_the_library(keyword):
     assert set(re.findall(r"'([\w/]+)'", refused.error)) == set(re.findall(r"'([\w/]+)'", str(caught.value)))
 
 
+@pytest.mark.slow
 def test_a_refusal_is_status_1_and_the_model_is_written_all_the_same(damped, tmp_path):
     model = tmp_path / "model.json"
     done = run("fit", damped, "--structure", "lossless", "--max-order", 2, "--model", model)
@@ -503,6 +505,7 @@ def test_the_time_allowed_ends_a_fit_with_the_best_so_far(recording, tmp_path, m
     assert (tmp_path / "best.json").exists()
 
 
+@pytest.mark.slow
 def test_what_is_silent_for_long_shows_the_time_so_far(recording, monkeypatch):
     monkeypatch.setattr(phc, "pem", slow(2.5, phc.pem))
     with streams(b"") as (_, error):

@@ -178,6 +178,7 @@ def test_plot_answers_as_json(here):
     assert answer == {"command": "plot", "kind": "poles", "models": ["plant"], "written": [str(here / "p.png")]}
 
 
+@pytest.mark.slow
 def test_a_comparison_is_drawn(here):
     for recording, more in (("first.csv", ["--recording", "second.csv", "--experiment", "2"]), ("shaker.csv", [])):
         target = here / f"{recording}.png"
@@ -250,6 +251,7 @@ def test_modes_with_losses_are_drawn_and_those_of_an_active_system_are_not(here)
     assert done.status == 1 and "not passive" in done.error and not (here / "q.png").exists()
 
 
+@pytest.mark.slow
 def test_modal_forms_that_are_not_passive_are_drawn(here):
     phc.save(phc.modes([-0.1 + 2j, -0.2 + 5j], [[1.0], [-1.0]], [[1.0], [0.5j]]), here / "free.json")
     for kind in ("bode", "step", "impulse", "modes", "poles"):

@@ -89,6 +89,7 @@ def test_the_order_of_c_is_that_of_the_paper():
     assert c[2] == kappa[0] * 36 + kappa[1] * 9 + kappa[2] * 4
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("name", LARGE)
 def test_hundreds_of_modes_keep_fifteen_digits(name):

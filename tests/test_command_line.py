@@ -101,7 +101,8 @@ def sessions() -> list[tuple[str, str]]:
     return [pair for block in found for pair in zip(block[::2], block[1::2], strict=True)]
 
 
-def test_the_page_prints_what_its_lines_print(tmp_path):
+def test_the_page_prints_what_its_lines_print(tmp_path, monkeypatch):
+    without_pictures(monkeypatch)
     shell = Shell(tmp_path)
     write_shaker(tmp_path / "shaker.csv")
     checker = doctest.OutputChecker()

@@ -63,6 +63,7 @@ def signed_weights(result, quantity="velocity"):
     return (residues * turn).real, spread
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("noise", [0.1, 0.4])
 def test_lossless_records_with_white_noise_are_not_accused(noise):
@@ -75,6 +76,7 @@ def test_lossless_records_with_white_noise_are_not_accused(noise):
     assert accused <= 2
 
 
+@pytest.mark.slow
 def test_damping_is_estimated_within_its_standard_error():
     errors = []
     for seed in range(4):
@@ -89,6 +91,7 @@ def test_damping_is_estimated_within_its_standard_error():
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.6
 
 
+@pytest.mark.slow
 def test_a_sensor_away_from_the_actuator_is_seen_by_the_sign():
     errors = []
     for seed in range(3):
@@ -103,6 +106,7 @@ def test_a_sensor_away_from_the_actuator_is_seen_by_the_sign():
     assert np.abs(errors).max() < 4
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(
     "quantity, order", [("velocity", 3), ("displacement", 3), ("acceleration", 3), ("displacement", "auto")]

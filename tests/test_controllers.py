@@ -196,6 +196,7 @@ def test_units_of_the_states_do_not_matter():
         phc.lqg(free, 1.0, weight=np.eye(6))
 
 
+@pytest.mark.slow
 def test_several_dashpots_damp_the_least_damped_mode_best():
     found = phc.optimal_damping(CHAIN, ["F_1", "F_3"], criterion="damping")
     zeta = found.system.damping_ratios.min()
@@ -428,6 +429,7 @@ def test_a_mode_that_a_gyroscopic_gain_makes_oscillate_has_no_mark_before():
     plt.close(plot.figure)
 
 
+@pytest.mark.slow
 def test_the_title_of_a_damping_plot_names_the_system():
     named = phc.ph(phc.modes(1.0, 1.0), name="bracket")
     for sys, title in ((named, "Damping of bracket over the gain"), (phc.ph(named, name="sys[3]"), "Damping over")):

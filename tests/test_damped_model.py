@@ -142,6 +142,7 @@ def test_a_lossless_model_is_refused_by_chance_as_often_as_it_should():
     assert 2.5 < np.mean([one.likelihood_ratio for one in found]) < 5.5
 
 
+@pytest.mark.slow
 def test_damping_that_leaves_residuals_white_is_not_consistent():
     told = 0
     for seed in range(2):
@@ -169,6 +170,7 @@ def test_other_quantities_and_rest_are_judged_alike(quantity, options):
 # --- the search ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("said", ["velocity", "acceleration"])
 def test_a_hammer_test_ends_with_its_damped_modes(said):

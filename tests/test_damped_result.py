@@ -58,6 +58,7 @@ def parts(values):
     return np.stack([values.real, values.imag])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind, structure", [("time", "free"), *slowly(("response", "classical"), ("decay", "free"))])
 def test_errors_are_as_large_as_the_bound_and_intervals_cover(kind, structure):
     """Of 18 seeds: a mean of 36 squares of 1 has a standard deviation of 0.24, residues have many more."""
@@ -81,6 +82,7 @@ def test_errors_are_as_large_as_the_bound_and_intervals_cover(kind, structure):
         assert cover > (0.86 if few else 0.9), name
 
 
+@pytest.mark.slow
 def test_a_driving_point_sets_the_scale_and_without_one_the_largest_is_1():
     scaled, unscaled = fitted("time"), phc.pem(data_of(PLANT, "time", 500, 1, 0.1), dt=1.0, structure="free")
     assert scaled.shapes_scaled and not unscaled.shapes_scaled
@@ -92,6 +94,7 @@ def test_a_driving_point_sets_the_scale_and_without_one_the_largest_is_1():
     assert np.allclose(np.take_along_axis(unscaled.stderr["shapes"], largest[:, None], 1), 0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration", ("velocity", "acceleration", "displacement")])
 def test_shapes_are_the_same_whatever_the_outputs_are(quantity):
@@ -121,6 +124,7 @@ def test_shapes_of_fits_to_different_quantities_compare():
     np.testing.assert_allclose(mixed.mac(same), np.eye(2), atol=1e-6)
 
 
+@pytest.mark.variants
 def test_draws_scatter_as_the_errors_say(result):
     if not result.input_labels:
         return
@@ -149,6 +153,7 @@ def test_the_observed_system_has_the_residues(result):
     assert tuple(result.observed_system.input_labels) == tuple(result.input_labels)
 
 
+@pytest.mark.slow
 def test_a_classical_model_with_ports_is_port_hamiltonian_with_sensors():
     found = fitted("time", "classical")
     assert isinstance(found.system, phc.PortHamiltonian) and found.system.sensors[0].shape == (1, 4)
@@ -275,6 +280,7 @@ def test_true_modes_are_stable_in_all_orders_beyond_and_the_result_is_among_them
     )
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 def test_tolerances_of_a_diagram_are_those_of_its_picture(result):
     found = result.stabilisation(beyond=1, frequency_tolerance=0.5, damping_tolerance=0.0)
@@ -348,6 +354,7 @@ def test_bands_of_what_was_measured_lie_about_its_curve(structure):
     plt.close("all")
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("seed", [0, 3, 6])
 def test_a_hammer_that_hits_after_few_samples_is_no_riddle(seed):

@@ -114,6 +114,7 @@ def test_files_pictures_and_pages_have_the_delay(late, tmp_path):
     assert abs(analysed.fit_percent[0] - result.fit_percent) < 0.1
 
 
+@pytest.mark.slow
 def test_pictures_of_a_response_have_the_delay(late):
     *_, result = late
     omega = np.linspace(0.8, 5.5, 30)
@@ -140,6 +141,7 @@ def test_a_rational_approximation_has_the_phase_of_the_delay():
     np.testing.assert_allclose(near, exact, atol=1e-5 * np.abs(exact).max())
 
 
+@pytest.mark.slow
 def test_a_delay_that_is_given_is_taken_as_it_is():
     u, y, _ = skewed(5, (0.45, 0.8))
     result = fitted(u, y, delay=[0.45 * DT, 0.8 * DT])

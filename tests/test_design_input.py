@@ -83,6 +83,7 @@ def least_by_a_general_solver(D, theta, samples, noise, first):
     return np.exp(minimize(logarithm, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 2000}).fun)
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(st.integers(0, 2**32), st.sampled_from(["damping_ratios", "natural_frequencies"]))
 def test_the_spectrum_is_as_good_as_that_of_a_general_solver(seed, purpose):
@@ -127,6 +128,7 @@ def test_a_limited_peak_is_reached_and_a_low_one():
     assert both.rms == pytest.approx([0.3]) and both.peak[0] <= 1.0
 
 
+@pytest.mark.slow
 def test_damping_becomes_known_twice_as_well_as_by_white_noise_of_the_same_peak():
     white = np.random.default_rng(0).standard_normal(SAMPLES)
     other = phc.excitation((white / np.abs(white).max(), None), LIGHT, dt=STEP, noise_std=0.05)
@@ -149,6 +151,7 @@ def test_the_same_call_gives_the_same_signal_and_leaves_its_arguments():
 # --- what is predicted ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", ["free", *slowly("classical")])
 def test_predicted_errors_are_those_that_a_fit_to_the_input_states(structure):
     rng, u = np.random.default_rng(0), design().signal[0]
@@ -162,6 +165,7 @@ def test_predicted_errors_are_those_that_a_fit_to_the_input_states(structure):
         assert np.abs(again.stderr[key]) == pytest.approx(np.abs(fit.stderr[key]), rel=0.1)
 
 
+@pytest.mark.slow
 def test_each_purpose_is_served_best_by_its_own_input():
     plant = phc.modes([-0.02 + 1j, -0.1 + 3j, -0.4], [[1.0], [0.5], [0.7]], [[1.0], [1.0], [1.0]])
     purposes = ("damping_ratios", "real_poles", "residues")

@@ -150,6 +150,7 @@ def test_a_system_with_losses_of_which_none_is_there_evaluates_to_the_same():
     assert type(evaluated(repr(none))) is type(none)
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(names, names, names, st.integers(0, 2**32))
 def test_the_printed_system_evaluates_to_the_same_with_any_names(name, source, sink, seed):

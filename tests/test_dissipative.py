@@ -104,6 +104,7 @@ def in_50_digits(Q, B, R, t, x0):
         return np.array([float(x) for x in mp.expm(A * t) * mp.matrix(x0.tolist())])
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("distance", [0.0, 1e-12, 1e-8, 1e-4, 1e-1])
 def test_critical_damping_keeps_its_digits(n, distance):
@@ -152,6 +153,7 @@ def test_poles_of_one_chain_that_all_meet_keep_their_digits(n, distance):
             assert abs(system(1j * w) - value) <= size * abs(value)
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None)
 @given(seed=st.integers(0, 2**31), size=st.floats(-5.0, 0.0))
 def test_responses_and_simulations_are_those_of_50_digits(seed, size):

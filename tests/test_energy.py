@@ -74,6 +74,7 @@ def exact_energies(sys, t, u, hold):
     return stored, *sums
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
 @pytest.mark.parametrize("name", PLANTS)

@@ -52,6 +52,7 @@ def test_a_filter_is_the_same_in_all_its_clothes(case, squeeze):
         assert len(verdict.witness.d) <= len(set(d.tolist()))
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(cases, st.booleans())
 def test_a_small_change_of_a_pole_or_of_a_residue_is_seen_in_exact_data(case, of_pole):
@@ -68,6 +69,7 @@ def test_a_small_change_of_a_pole_or_of_a_residue_is_seen_in_exact_data(case, of
     assert same_filter((d, v), (other_d, other_v), rtol=1e-10)
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(st.integers(1, 5), st.integers(0, 10**6))
 def test_plain_systems_and_transfer_functions_are_compared_within_their_own_errors(n, seed):

@@ -12,8 +12,8 @@ from slow import slowly
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # some seconds each; the gallery of the documentation runs them too
 LONG = {
-    "ambient_tower", "arm_to_controller", "cantilever", "craig_bampton", "flexible_arm", "hammer_test", "large_frame",
-    "motor_to_notch", "noise_lqg", "paper_chain", "paper_circuit", "plants", "robust_damping", "roving_hammer",
+    "ambient_tower", "arm_to_controller", "bode_comparison", "cantilever", "craig_bampton", "flexible_arm", "hammer_test", "large_frame",
+    "motor_to_notch", "noise_lqg", "order_selection", "paper_chain", "paper_circuit", "pictures", "plants", "robust_damping", "roving_hammer",
     "several_experiments", "shaker_in_wind", "shaker_test", "tutorial", "unknown_dimension",
 }  # fmt: skip
 

@@ -38,6 +38,7 @@ def test_identical_columns_are_named_first_with_their_factor(record):
     assert result.message.startswith("The columns 'y1' and 'y2' are the same up to a factor of -2: probably one")
 
 
+@pytest.mark.slow
 def test_outputs_with_the_same_finding_share_one_sentence(record):
     u, y = record
     rng = np.random.default_rng(5)

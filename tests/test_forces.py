@@ -64,6 +64,7 @@ def forced():
     return fit_of(record(0, forces=0.3))
 
 
+@pytest.mark.slow
 def test_forces_are_named_with_their_share_and_add_no_modes(forced):
     assert forced.order == 3 and not len(forced.real_poles) and forced.structure == "classical"
     (finding,) = (finding for finding in forced.findings if finding.cause.name == "FORCES")
@@ -75,6 +76,7 @@ def test_forces_are_named_with_their_share_and_add_no_modes(forced):
     assert white.loglik < forced.loglik - 100 and "FORCES" not in causes(white)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [{"forces": 0.03}, *slowly({"inputs": 0.05})])
 def test_modes_lie_within_their_intervals(size):
     z = []
@@ -108,6 +110,7 @@ def test_white_noise_names_nothing_and_the_fit_is_that_of_white_noise():
     np.testing.assert_array_equal(result.poles, white.poles)
 
 
+@pytest.mark.slow
 def test_sensors_that_share_noise_are_named_and_intervals_are_those_of_all_outputs():
     correlation = 0.5
     data = record(3, sensors=0.3, correlation=correlation)

@@ -61,6 +61,7 @@ def written(folder, *functions, name="test.uff"):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("binary", [0, 1])
 def test_responses_of_one_test_become_a_matrix(tmp_path, binary):
@@ -222,6 +223,7 @@ def test_quantities_of_several_outputs_go_by_their_labels(tmp_path):
         phc.pem([data, again], 2)
 
 
+@pytest.mark.slow
 def test_dots_of_a_component_are_no_hindrance(tmp_path):
     f = np.arange(1.0, 6.0)
     many = [function(f, (k + 1) * np.ones(5), (3, 3), (3, 3), component=name) for k, name in enumerate(("a.b", "a_b"))]
@@ -250,6 +252,7 @@ def responses(folder, outputs, hammers, **options):
     return written(folder, *sets), np.sqrt(values), np.abs(vectors)
 
 
+@pytest.mark.slow
 def test_driving_points_are_those_of_equal_places_and_directions(tmp_path):
     path, d, shapes = responses(tmp_path, [1, 2], [2])
     (data,) = phc.read_uff(path)

@@ -49,6 +49,7 @@ def is_at_the_optimum(result, d, r):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("quantity", ["velocity", "displacement", "acceleration"])
 @pytest.mark.parametrize("n", PLANTS)
@@ -100,6 +101,7 @@ def test_exact_responses_are_fitted_to_rounding(n, quantity, order):
     assert np.allclose(result.r, r, rtol=1e5 * n * EPS, atol=0)
 
 
+@pytest.mark.slow
 def test_modes_between_two_points_and_close_to_one_are_found():
     omega = np.linspace(0.1, 3.0, 30)
     step = omega[1] - omega[0]
@@ -128,6 +130,7 @@ def test_noise_that_goes_with_the_gain_casts_doubt_where_points_were_taken_as_eq
     assert weighted.outcome.name == "CONSISTENT" and not found(weighted, "GAIN_NOISE")
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("order", [3, "auto"])
 def test_noise_that_goes_with_the_gain_is_estimated_without_weights(order):
@@ -210,6 +213,7 @@ def test_a_resonance_close_to_a_point_is_placed_by_that_point(distance):
         assert np.sqrt(result.noise_variance) == pytest.approx(0.001, rel=0.4)
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(
     "d, r",
@@ -265,6 +269,7 @@ def test_repeated_frequencies_count_as_repeated_measurements():
     assert np.allclose(few.stderr["d"] / many.stderr["d"], np.sqrt(3), rtol=0.4)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("order", [1, "auto"])
 @pytest.mark.parametrize("points", [3, 5, 7, 9, 12])
 def test_few_points_are_enough_for_a_mode(points, order):
@@ -308,6 +313,7 @@ def test_several_responses_and_missing_points_are_one_fit():
     assert np.allclose(result.d, reversed_order.d, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_long_response_is_searched_everywhere():
     d, r = PLANTS[6]
     omega = np.linspace(0.05, 3.2, 4000)
@@ -330,6 +336,7 @@ def test_damped_response_is_no_lossless_one_and_has_its_damping():
     assert found(lossless, "LOSSES") and "show losses" in lossless.message
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("weighted", [True, False])
 def test_a_response_is_tested_for_damping_that_leaves_its_residuals_white(weighted):
@@ -352,6 +359,7 @@ def test_a_response_is_tested_for_damping_that_leaves_its_residuals_white(weight
     assert min(p[:3]) > 1e-3 and max(p[:3]) > 0.3 and max(p[3:]) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("n", [1, 3])
 @pytest.mark.parametrize("relative, floor", [(0.02, 0.0), (0.02, 0.02), *slowly((0.0, 0.02))])
@@ -368,6 +376,7 @@ def test_intervals_of_responses_without_weights_hold_what_they_should(n, relativ
     assert np.mean(inside) >= 0.8
 
 
+@pytest.mark.slow
 def test_noise_that_grows_with_the_gain_is_found_in_any_units():
     *_, data = plant_with_noise(3, 1, relative=0.03, floor=0.02)
     laws = [share_of(phc.pem(ct.frd(unit * data.frdata, data.omega), 3)) for unit in (1e-6, 1.0, 1e6)]
@@ -479,6 +488,7 @@ def test_a_sample_far_out_of_the_noise_of_a_record_is_named():
     assert outliers_of(result) == [(123.0,)] and result.outcome.name == "DOUBTFUL"
 
 
+@pytest.mark.slow
 def test_a_crystal_is_damped_though_its_lossless_model_does_not_converge():
     f = np.linspace(9.98e6, 10.05e6, 800)
     s = 2j * np.pi * f

@@ -52,6 +52,7 @@ def test_a_force_without_noise_is_as_given():
     assert result.order == 3 and "HAMMER_NOISE" not in names(result)
 
 
+@pytest.mark.slow
 def test_a_force_between_hits_that_the_outputs_answer_stays():
     """A machine runs beside: its force is small beside the hits, but resonates."""
     given = [hit([3, k], noise=0.01, background=0.5) for k in range(2)]

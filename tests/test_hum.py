@@ -68,6 +68,7 @@ def test_hum_next_to_a_mode_leaves_the_mode():
     assert np.max(np.abs(errors)) < 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.1, *slowly(0.5)])
 def test_an_order_that_is_given_is_that_of_the_modes(share):
     result = phc.pem(humming(3, share, 5.0), 2, dt=STEP)

@@ -95,6 +95,7 @@ def test_dead_times_are_found_beside_a_mode():
     np.testing.assert_allclose(result.poles, [pole], rtol=0.01)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("dead", [(0, 0, 0), (3, 3, 3)])
 def test_inputs_that_act_together_have_no_dead_times_of_their_own(dead):
     result = phc.pem(recorded(5, np.array(dead)), 0, dt=DT, real_poles=2)

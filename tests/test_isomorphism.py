@@ -188,6 +188,7 @@ def test_discrete_systems_are_matched():
     assert np.allclose(system_isomorphism(first, second), np.diag([1.0, 0.5]))
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(st.integers(1, 6), st.integers(0, 10**6))
 def test_canonical_systems_are_isomorphic_to_both_of_their_canonical_forms(n, seed):

@@ -18,6 +18,7 @@ def texts(plot):
     return [text.get_text() for text in plot.legend.get_texts()]
 
 
+@pytest.mark.slow
 def test_two_thousand_modes_are_drawn_with_their_median_where_they_close_to_a_block():
     sys = evenly_spaced()
     plot = phc.bode_plot(sys)
@@ -39,6 +40,7 @@ def test_two_thousand_modes_are_drawn_with_their_median_where_they_close_to_a_bl
     assert low < middle.min() and middle.max() < high
 
 
+@pytest.mark.slow
 def test_the_block_is_pale_and_other_curves_and_dots_are_above_it():
     plot = phc.bode_plot([evenly_spaced(), ct.tf([100.0], [1.0, 30.0], name="mean")])
     block, other = plot.lines[0, 0][:2]

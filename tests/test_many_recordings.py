@@ -116,6 +116,7 @@ def test_patterns_files_and_data_of_any_kind_are_recordings(files, tmp_path):
     assert len(phc.fit_many(str(tmp_path / "*.csv"), **OPTIONS).table) == 6
 
 
+@pytest.mark.slow
 def test_data_of_any_kind_travel_to_other_processes():
     rng, t = np.random.default_rng(0), STEP * np.arange(80)
     u = rng.standard_normal(80)
@@ -125,6 +126,7 @@ def test_data_of_any_kind_travel_to_other_processes():
     assert same(here, there) and not len(here.failures)
 
 
+@pytest.mark.slow
 def test_an_iterator_is_taken_as_there_is_room():
     taken, ahead = [], []
 
@@ -204,6 +206,7 @@ def written(store):
     return {one.name: one.stat().st_mtime_ns for one in store.iterdir()}
 
 
+@pytest.mark.slow
 def test_what_is_in_the_store_is_not_fitted_again(files, tmp_path):
     store = tmp_path / "results"
     first = phc.fit_many(files, store=store, **OPTIONS)
@@ -399,6 +402,7 @@ def test_modes_count_from_1_where_they_are_read_and_from_0_in_the_table(files):
     plt.close(plot.figure)
 
 
+@pytest.mark.slow
 def test_the_picture_has_frequencies_dampings_and_their_bands():
     fits, _ = crossing(3)
     plot, tracks = fits.plot(), fits.track()

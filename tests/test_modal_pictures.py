@@ -55,6 +55,7 @@ def measured(fit, noise=0.0, count=200, low=5.0, high=100.0):
 # --- frequency responses ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("k", [0, 1, 2], ids=["displacement", "velocity", "acceleration"])
 def test_curves_are_the_response_of_the_quantity_measured(k):
     fit = result(2, 2, k)
@@ -70,6 +71,7 @@ def test_curves_are_the_response_of_the_quantity_measured(k):
             np.testing.assert_allclose(turns, expected[seen], rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_peaks_and_notches_are_resolved():
     fit = result(1)
     frequency, gain = phc.frf_plot(fit).lines[0, 0][0].get_data()
@@ -112,6 +114,7 @@ def test_panels_stay_wide_enough_to_read(p, m):
         assert titles == [f"u{j + 1} to y{i + 1}" for i in range(p) for j in range(m)]
 
 
+@pytest.mark.slow
 def test_of_many_channels_the_first_are_drawn_and_the_title_says_so():
     fit = result(28, 4)
     plot = phc.frf_plot(fit)
@@ -171,6 +174,7 @@ def test_a_constant_input_beside_others_hides_none_of_them(samples):
     assert len(gains[0]) == 1 and len(gains[0][0]) > 30 and np.abs(gains[0][0]).max() < 1e-9 and not gains[1]
 
 
+@pytest.mark.slow
 def test_recordings_are_estimated_together_also_of_roving_hammers_and_sensors():
     fit, h = result(2, 2), 2e-3
     T, rng = 6000, np.random.default_rng(1)

@@ -135,6 +135,7 @@ def test_a_free_decay_needs_no_input():
     assert fit.residues.shape == (4, 3, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("order", [2, "auto"])
 def test_modes_closer_than_their_width_are_told_apart_by_their_shapes(order):
@@ -157,6 +158,7 @@ def test_what_is_fed_through_is_kept_where_it_stands_out():
     assert felt.unknowns == fit.unknowns + 1
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("intersample", ["zoh", "foh"])
 def test_the_hold_that_needs_fewer_parameters_is_taken(intersample):
@@ -185,6 +187,7 @@ def test_a_response_matrix_gives_the_same_modes_entry_by_entry(order):
     assert np.allclose(np.sqrt(fit.noise_variance), sizes, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_many_lines_give_the_modes_of_all():
     omega = np.linspace(0.05, 2.8, 9000)
     G, sizes = response(0.1, omega=omega)
@@ -212,6 +215,7 @@ def test_roving_responses_share_their_poles():
     assert np.allclose(fit.residues, residues(), atol=0.03 * np.abs(residues()).max())
 
 
+@pytest.mark.slow
 def test_data_without_noise_are_fitted_to_rounding():
     fit = fitted(recorded(noise=0.0)[:2])
     assert fit.order == 4
@@ -225,6 +229,7 @@ def test_noise_alone_has_no_modes():
     assert np.allclose(np.sqrt(fit.noise_variance), 1.0, atol=0.15)
 
 
+@pytest.mark.slow
 def test_coloured_noise_is_no_mode():
     u, y, _ = recorded(noise=0.0, samples=500)
     rng, noise = np.random.default_rng(0), np.zeros(y.shape)
@@ -234,6 +239,7 @@ def test_coloured_noise_is_no_mode():
     assert fit.order == 4 and np.allclose(fit.poles.imag, P.imag, rtol=5e-3)
 
 
+@pytest.mark.slow
 def test_a_search_may_be_ended():
     u, y, _ = recorded()
 

@@ -275,6 +275,7 @@ def test_a_rigid_body_has_a_mass():
     assert abs(deviations(result, [2.5])[0]) < 4 and result.stderr["parameters"][0] < 0.01
 
 
+@pytest.mark.slow
 def test_large_structures_come_with_a_few_modes():
     from scipy import sparse
 

@@ -61,6 +61,7 @@ def test_seventy_states_that_hardly_lose_energy_at_rest_are_not_refused():
     assert form.nstates == 70 and measured(form, system)["transfer"] <= 1e-10
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None, derandomize=True)
 @SEEDS
 def test_what_is_active_is_refused_with_the_bands_of_passivity(seed):
@@ -229,6 +230,7 @@ def test_the_least_storage_of_one_port_is_that_of_the_spectral_factor(seed, feed
     np.testing.assert_allclose(T.conj().T @ form.Q @ T, X, rtol=1e-6, atol=1e-7 * np.abs(X).max())
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None, derandomize=True)
 @SEEDS
 def test_the_storages_are_ordered_and_the_true_energy_lies_between(seed):

@@ -63,6 +63,7 @@ def indefinite(poles, residues, D, omega, scattering=False):
     return np.linalg.eigvalsh(Phi)[:, 0], 1e-12 * ((1 + size**2) if scattering else size + np.linalg.norm(D))
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("kind", ["immittance", "scattering"])
 @settings(max_examples=30, deadline=None)
@@ -105,6 +106,7 @@ def crosses_in_50_digits(poles, residues, D, end):
         return determinant(w * (1 - mp.mpf("1e-8"))) * determinant(w * (1 + mp.mpf("1e-8"))) < 0
 
 
+@pytest.mark.slow
 def test_band_ends_are_right_to_eight_digits():
     ends = 0
     for seed in range(30):

@@ -72,6 +72,7 @@ def crossings(num, den):
         return found, int(mp.sign(real[0]))
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**31), time=st.sampled_from(UNITS), gain=st.sampled_from(UNITS))
 def test_bands_of_coefficients_are_those_of_50_digits_in_any_units(seed, time, gain):
@@ -177,6 +178,7 @@ def test_light_dampers_are_passive_with_the_sign_that_they_have(seed, light):
         phc.ph(reversed_dampers)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("damping", [1.0, 1e2, 1e4, 1e6, 1e7, 1e8])
 @pytest.mark.parametrize("seed", range(4))
 def test_overdamped_masses_are_passive(damping, seed):

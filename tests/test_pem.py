@@ -170,6 +170,7 @@ def test_units_of_time_and_output_do_not_change_the_answer(time, gain, seed):
 # --- noise -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "n, samples, snr, bins",
     [(2, 1000, 20, 3), (5, 1000, 20, 1.5), *slowly((5, 1000, 20, 3), (5, 2000, 10, 3), (10, 4000, 20, 3))],
@@ -236,6 +237,7 @@ def test_auto_finds_the_number_of_modes(n):
         assert min(result.order_table, key=lambda row: row.bic).order == n
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outputs", [1, 2])
 def test_no_more_modes_than_the_largest_order_and_it_is_said(outputs):
     d = np.linspace(0.9, 11.0, 8)
@@ -275,6 +277,7 @@ def lund_modes(data_folder):
     return d[chosen], kappa[chosen] / d[chosen]
 
 
+@pytest.mark.slow
 def test_eight_modes_of_a_structure_are_found_to_1e_4(lund_modes):
     d, r = lund_modes
     _, u, y, _ = record_of(d, r, samples=8192, h=1 / 128, z0=np.zeros(16))
@@ -610,6 +613,7 @@ def test_lines_of_the_input_are_not_taken_for_modes(seed):
     assert abs(result.d[0] - d) < 4.5 * result.stderr["d"][0]
 
 
+@pytest.mark.slow
 def test_reversed_sensor_is_suspected():
     _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3], z0=np.zeros(4))
     result = lossless_fit((u, -y), 2, dt=0.1)

@@ -173,6 +173,7 @@ def test_units_and_the_origin_of_time_do_not_matter(time, given_, measured, quan
     assert np.array_equal(there.d, plain.d) and np.array_equal(there.r, plain.r)
 
 
+@pytest.mark.slow
 def test_answer_is_the_same_bit_by_bit_for_any_number_of_workers():
     # residues of the wrong sign leave so much that further starts are made
     u, y, _, _ = recording(300, noise=0.05)
@@ -339,6 +340,7 @@ def test_each_experiment_has_an_offset_of_its_own_with_its_error():
 # --- guesses and criteria -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_guess_is_a_pair_a_modal_form_or_a_system_and_gives_the_optimum():
     u, y, _, _ = recording(800, noise=0.1)
     found = phc.pem((u, y), 3, dt=0.1)
@@ -459,6 +461,7 @@ def test_representations_are_equal_where_all_weights_are_positive():
 # --- long records ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_long_noise_free_record_is_reproduced_to_rounding():
     u, y, x, _ = recording(50_000)
     result = phc.pem((u, y), 3, dt=0.1)
@@ -566,6 +569,7 @@ def test_results_of_every_kind_come_back_bit_by_bit(tmp_path, kinds, kind):
     assert back.summary() == result.summary() and repr(back) == repr(result)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_files_that_were_changed_are_refused(tmp_path, kinds, kind):
     path = tmp_path / "result.json"

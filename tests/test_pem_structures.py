@@ -35,6 +35,7 @@ def test_lossless_data_get_the_numbers_of_the_lossless_structure():
     assert auto.loss == pytest.approx(named.loss, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_damped_data_get_a_damped_answer_and_the_lossless_one_where_it_is_asked_for():
     u, y = recording()
     u, y = u[0], PLANT.velocities(np.stack([u[0], 0 * u[0]]))[0] + 0.05 * np.random.default_rng(0).standard_normal(600)
@@ -54,6 +55,7 @@ def test_a_sensor_elsewhere_leaves_free_residues_without_a_scale():
     assert {one.hypothesis for one in found.tests if one.p < 0.05} >= {"lossless", "classical"}
 
 
+@pytest.mark.slow
 def test_one_output_may_be_any_sensor_by_a_word_a_list_or_its_label():
     u, _ = recording()
     y = PLANT.velocities(np.stack([u[0], 0 * u[0]]))[2] + 0.02 * np.random.default_rng(0).standard_normal(600)
@@ -67,6 +69,7 @@ def test_one_output_may_be_any_sensor_by_a_word_a_list_or_its_label():
         phc.pem((u[0], y), dt=1.0, quantity="free", structure="passive")
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("kind", ["recording", "response"])
 def test_a_first_order_lag_beside_modes_is_a_real_pole(kind):
@@ -163,6 +166,7 @@ def test_shapes_of_a_roving_hammer_compare_over_the_places_of_the_hits():
     assert np.all(found.phase_collinearity > 0.99) and np.all(found.phase_collinearity < 1)
 
 
+@pytest.mark.slow
 def test_gaps_and_an_offset_are_no_modes():
     u, y = recording()
     y = y + np.array([[3.0], [0.0], [-20.0]])
@@ -182,6 +186,7 @@ def test_the_search_starts_from_a_guess_and_tells_of_its_progress():
         phc.pem(recording(), dt=1.0, initial_guess="this")
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(
     "order, structure, error",

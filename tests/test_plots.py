@@ -177,6 +177,7 @@ def test_points_near_a_mark_are_told_by_their_part_of_the_gap():
 # --- phase and magnitude ---
 
 
+@pytest.mark.slow
 @quick
 @given(frequencies, st.integers(0, 2**32 - 1))
 def test_the_phase_of_a_one_port_is_exactly_plus_or_minus_90_degrees(values, seed):
@@ -269,6 +270,7 @@ def test_a_lone_measured_point_does_not_flatten_the_picture_but_a_measured_reson
     assert twice[1] >= 20 * np.log10(10 * np.abs(response).max())
 
 
+@pytest.mark.slow
 def test_a_finite_peak_is_in_the_picture():
     plot = bode_plot([frenkel_kontorova(), ct.tf([1, 0], [1, 1e-4, 1])])
     assert plot.axes[0, 0].get_ylim()[1] > 80.0
@@ -1165,6 +1167,7 @@ def test_the_picture_of_a_fit_has_units_on_every_axis_where_they_are_known():
     assert plot.axes[1, 0].texts[0].get_text().endswith(" m/s")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("unit", [{}, {"output_unit": None}, {"output_unit": ""}])
 def test_an_unknown_unit_is_left_out_of_every_label(unit):
     t, y, p = long_record()

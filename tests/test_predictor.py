@@ -110,6 +110,7 @@ def test_of_noise_of_first_order_the_predictor_is_the_formula_of_textbooks():
     assert not result.kalman_gain.any()  # inputs tell the states, whatever the colour
 
 
+@pytest.mark.slow
 def test_the_error_one_step_ahead_on_new_data_has_the_variance_of_the_innovations():
     result, u, y = in_coloured_noise()
     fresh = u[0, 2000:], y[0, 2000:]

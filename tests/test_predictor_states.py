@@ -84,6 +84,7 @@ def answer(plant, u):
     return ct.forced_response(ct.c2d(plant, STEP), inputs=u).outputs.reshape(plant.noutputs, -1)
 
 
+@pytest.mark.slow
 def test_a_weak_mode_is_found_below_noise_that_sensors_share():
     rng = np.random.default_rng(5)
     shapes = np.array([[1.0, 0.8, 0.2], [0.7, -1.0, -0.2], [-0.9, 0.6, 0.2]])
@@ -110,6 +111,7 @@ def test_slow_noise_of_the_sensor_is_neither_a_mode_nor_a_lag():
     assert np.all(np.abs(z) < 4)
 
 
+@pytest.mark.slow
 def test_the_number_of_real_poles_that_is_given_holds_beside_forces():
     rng = np.random.default_rng(4)
     shapes = np.array([[1.0, 0.8], [0.7, -1.0]])

@@ -64,6 +64,7 @@ def test_a_plant_that_a_noise_model_could_swallow_is_found_with_its_dead_time():
     assert simulated_percent(result, u, x) > 80
 
 
+@pytest.mark.slow
 def test_a_lag_that_only_its_dead_time_tells_from_the_load_is_found():
     # without the dead time, noise alone is likelier
     rng = np.random.default_rng(11)
@@ -74,6 +75,7 @@ def test_a_lag_that_only_its_dead_time_tells_from_the_load_is_found():
     assert simulated_percent(result, u, x) > 50
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, *slowly(12)])
 def test_a_dead_time_is_none_of_several_lags(seed):
     # with zeros of their own, lags of a few samples are a rational approximation of it

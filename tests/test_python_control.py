@@ -298,6 +298,7 @@ def curves(picture, row):
     return [line.get_xydata() for line in lines if len(line.get_xdata()) > 10]
 
 
+@pytest.mark.slow
 def test_a_bode_plot_takes_a_mixed_list_and_draws_the_same_curve_twice():
     sys = chain()
     omega = np.logspace(-1, 1, 101)

@@ -16,6 +16,7 @@ def causes(result):
 # --- frequency responses ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("outputs", "inputs"), [(1, 1), *slowly((2, 1))])
 def test_noise_that_grows_with_the_gain_adds_no_modes_and_its_intervals_hold(outputs, inputs):
     poles, _ = plant(3, outputs, inputs, 0)
@@ -141,6 +142,7 @@ def test_an_output_that_saturates_is_told_with_the_ends_of_its_range():
     assert "SATURATION" not in causes(phc.pem((u, coarse), 2, dt=1.0, structure="free"))
 
 
+@pytest.mark.slow
 def test_ambient_excitation_is_told_from_a_free_decay():
     _, y = recording(2, 2, 1, "white", 1)
     ambient = phc.pem((None, y), 2, dt=1.0)
@@ -239,6 +241,7 @@ def test_delays_and_drifts_are_named_and_add_no_modes(kind, outputs, inputs):
         np.testing.assert_allclose(getattr(result, name), true, rtol=0.1, atol=0.1 * np.abs(true).max())
 
 
+@pytest.mark.slow
 def test_white_noise_gives_no_finding_of_the_recording():
     u, y = recording(3, 3, 2, "white", 0)
     assert not causes(phc.pem((u, y), dt=1.0, structure="free"))

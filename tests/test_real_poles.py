@@ -81,6 +81,7 @@ def test_the_number_of_real_poles_may_be_given():
             phc.pem((u, y), dt=H, real_poles=wrong)
 
 
+@pytest.mark.slow
 def test_real_poles_may_be_given_without_modes():
     _, _, u, y = recording("motor")
     motor = phc.pem((u, y), 0, dt=H, real_poles=2)
@@ -93,6 +94,7 @@ def test_real_poles_may_be_given_without_modes():
             phc.pem((u, y), 0, dt=H, **few)
 
 
+@pytest.mark.slow
 def test_an_overdamped_mass_is_classical_and_a_network_of_relaxations_passive():
     u, rng = steps(5)
     mass = held([-4.0, -18.0], [1 / 14, -1 / 14], u)
@@ -106,6 +108,7 @@ def test_an_overdamped_mass_is_classical_and_a_network_of_relaxations_passive():
     assert np.all(network.residues.real > 0)
 
 
+@pytest.mark.slow
 def test_outputs_share_a_real_pole():
     u, rng = np.stack([steps(1)[0], steps(2)[0]]), np.random.default_rng(4)
     poles, gains = [-0.3 + 9.0j, -2.0], rng.uniform(0.5, 1.0, (2, 2, 2))
@@ -157,6 +160,7 @@ def test_draws_of_a_fit_with_real_poles_have_its_errors():
     assert all(len(one.poles()) == 3 for one in result.sample_systems(3, rng=0))
 
 
+@pytest.mark.slow
 def test_no_lag_is_seen_in_a_plant_without_any():
     rng, t = np.random.default_rng(2), 0.1 * np.arange(1500)
     plant = phc.ph(phc.modes([1.0, 2.5], [0.5, 0.4], damping=[0.01, 0.02]))
@@ -211,6 +215,7 @@ def test_a_pair_that_turns_real_under_a_structure_leads_to_a_passive_model():
     assert result.order <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("seed", range(2))
 def test_inputs_are_held_where_a_mode_beside_lags_says_so(seed):
@@ -225,6 +230,7 @@ def test_inputs_are_held_where_a_mode_beside_lags_says_so(seed):
 # --- beside a number of modes that is given --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(
     "zeros_and_poles, order, modes, real",

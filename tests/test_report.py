@@ -56,6 +56,7 @@ def structure():
     return phc.pem(data, 2, ports=[(0, 0), (1, 1)])
 
 
+@pytest.mark.slow
 def test_page_stands_alone_with_all_its_parts(structure, tmp_path):
     structure.report(tmp_path / "fit.html", title="Tower <1>")
     text = (tmp_path / "fit.html").read_text(encoding="utf-8")
@@ -78,6 +79,7 @@ def test_page_stands_alone_with_all_its_parts(structure, tmp_path):
     assert (tmp_path / "again.html").read_text(encoding="utf-8") == text
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("options", [{"initial_state": "zero", "offset": True}, {"offset": False}])
 def test_the_call_on_the_page_repeats_initial_state_and_offset(options, tmp_path):

@@ -116,6 +116,7 @@ def test_p_values_of_white_residuals_are_uniform_and_bands_cover(samples, lags, 
     assert np.all(np.abs(outside - 0.05) < 0.012)
 
 
+@pytest.mark.slow
 def test_bands_and_p_values_hold_where_residuals_and_input_are_both_coloured():
     p_values, outside = null_draws(150, 500, 20, e_pole=0.8, u_pole=0.8)
     for column in p_values.T[1:]:

@@ -29,6 +29,7 @@ def measured(values, omega=OMEGA):
     return ct.frd(values, omega, smooth=False)
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(
     "quantity, constant", [("displacement", 0.3 + 0.2j), ("velocity", 0.0), ("acceleration", 0.3 + 0.2j)]

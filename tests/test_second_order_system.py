@@ -54,6 +54,7 @@ def largest(difference):
 SENSORS = {"position": np.eye(N)[[40]], "acceleration": np.eye(N)[[100, 200]]}
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("damping", DAMPINGS)
 @pytest.mark.parametrize("count, sensors", [(2, SENSORS), *slowly((1, {}))])

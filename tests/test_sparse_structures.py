@@ -129,6 +129,7 @@ def test_a_band_without_modes_is_refused_unless_residual_modes_make_a_system():
     np.testing.assert_allclose(static(0.0)[1], np.linalg.inv(K.toarray())[40, 40], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_rigid_modes_are_found_and_kept():
     M, K = membrane(18, free=True)
     pieces, mass = (sparse.block_diag([matrix] * 2, format="csc") for matrix in (K, M))

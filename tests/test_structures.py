@@ -241,6 +241,7 @@ def test_free_motion_is_tested_for_damping_alone():
     assert still.tests[0].p > 0.01 and choose(still).structure == "lossless"
 
 
+@pytest.mark.slow
 def test_a_mode_that_no_input_drives_and_a_double_pole_are_borne():
     u, y, scales = recorded("classical")
     rows = FreeRecord.by_observation(u, y / scales[:, None], np.ones(y.shape, bool), Hold(1.0))

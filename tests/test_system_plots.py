@@ -460,6 +460,7 @@ def test_a_fit_is_drawn_with_its_intervals():
     assert plot.axes[0, 0].get_ylim()[1] > vertical[:, :, 1].max()
 
 
+@pytest.mark.slow
 def test_intervals_of_residues_follow_from_those_of_weights_and_frequencies():
     result, _ = fitted(noise=1.0)
     ends = result.confidence_interval(0.9)["kappa"]

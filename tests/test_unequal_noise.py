@@ -57,6 +57,7 @@ def test_a_loud_experiment_does_not_spoil_a_quiet_one():
     assert {f.structure for f, _ in fits} == {"classical"}
 
 
+@pytest.mark.slow
 def test_the_noise_of_each_experiment_is_said(both):
     result = both
     quiet, loud = (experiment.noise_scale for experiment in result.experiments)

@@ -326,6 +326,7 @@ def test_p_values_of_a_fit_to_its_own_short_record_are_uniform():
 # --- residuals: findings ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_missing_mode_is_found_as_a_response():
     u, y = recording(samples=1000, noise=0.1)
     result = phc.pem((u, y), order=1, dt=STEP, real_poles=0)  # a real pole would stand for a part of the mode
@@ -413,6 +414,7 @@ def test_options_of_the_analysis_out_of_range_are_refused(options, complaint):
 # --- the order -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_table_is_the_path_of_the_fit_and_BIC_finds_the_order():
     data = recording(noise=0.1)
     selection = order_selection(data, 5, dt=STEP)

@@ -112,6 +112,7 @@ def test_the_fit_of_a_result_on_its_own_experiments_is_that_of_the_fit(options):
     assert "fitted to 1 of these experiments" in str(part)
 
 
+@pytest.mark.slow
 @quick
 @given(st.permutations(range(3)), st.integers(0, 5))
 def test_neither_the_order_of_experiments_nor_their_company_changes_what_a_model_says_of_each(order, seed):
@@ -339,6 +340,7 @@ def test_p_values_of_fits_to_short_data_of_every_kind_are_uniform(kind):
 # --- residuals: findings ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quantity", [QUANTITIES[1], *slowly(QUANTITIES[0], *QUANTITIES[2:])])
 def test_a_missing_mode_shows_in_the_residuals_of_every_kind_of_data(quantity):
     data = experiments(quantity, noise=0.05)
@@ -420,6 +422,7 @@ def test_a_free_motion_has_no_input_and_damping_shows_as_colour():
 # --- the order -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quantity", [QUANTITIES[2], *slowly(*QUANTITIES[:2])])
 def test_the_order_is_found_in_data_of_every_kind(quantity):
     for data, options in (
@@ -452,6 +455,7 @@ def test_the_path_takes_one_mode_at_a_time_also_through_a_long_record():
     assert np.all(6000 / 2 * np.diff(np.log(selection.loss)) < 0.5)
 
 
+@pytest.mark.slow
 @quick
 @given(st.permutations(range(3)))
 def test_the_order_of_experiments_changes_no_table(order):

@@ -172,6 +172,7 @@ def test_the_law_of_the_errors_is_that_of_estimates():
             assert np.max(np.abs(seen - expected)) < 0.35
 
 
+@pytest.mark.slow
 def test_intervals_hold_and_nothing_is_added():
     z, right = [], 0
     for seed in range(5):
@@ -235,6 +236,7 @@ def test_samples_and_their_hold():
         np.testing.assert_allclose(result.damping_ratios, expected.damping_ratios, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_missing_lines_and_a_band():
     data = estimate(plant(), 20, 2)
     response = data.frdata.copy()
