@@ -117,9 +117,3 @@ def test_results_and_pickles_are_read_where_nothing_was_asked_for_yet(tmp_path):
     """
     assert in_a_new_process(tmp_path, make) == in_a_new_process(tmp_path, read)
     assert (tmp_path / "fit.json").read_text() == (tmp_path / "again.json").read_text()
-
-
-def test_a_wheel_holds_the_list_of_names():
-    """Without it the package has no names at all."""
-    text = (PACKAGE.parent / "pyproject.toml").read_text(encoding="utf-8")
-    assert '"*.pyi"' in text.partition("[tool.setuptools.package-data]")[2].partition("[tool.pytest")[0]
