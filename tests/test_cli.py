@@ -426,7 +426,7 @@ def test_demo_leaves_recordings_models_and_pictures_and_finds_the_truth(tmp_path
     done = run("demo")
     assert (done.status, done.error) == (0, "")
     folder = tmp_path / "ph_control_demo"
-    names = {f"{plant}{end}" for plant in ("circuit", "chain") for end in (".csv", ".json", "_fit.png", "_bode.png")}
+    names = {f"{plant}{end}" for plant in ("circuit", "chain") for end in (".csv", ".json", "_bode.png")}
     assert {path.name for path in folder.iterdir()} == names | {f"structure{end}" for end in (".csv", ".json", ".html")}
     assert done.out.count("3 of 3 visible modes found") == 1 and "f [Hz] true" in done.out
     assert "1 of 1 visible modes found" in done.out and "2 of 2 visible modes found" in done.out

@@ -115,7 +115,7 @@ def run(options: Namespace) -> int:
         else:
             _draw(plant, result, folder)
         if not options.json:
-            made = (".csv", ".json", ".html") if several else (".csv", ".json", "_fit.png", "_bode.png")
+            made = (".csv", ".json", ".html") if several else (".csv", ".json", "_bode.png")
             files = "   " + ", ".join(plant.name + end for end in made)
             emit("\n".join([f"== {plant.title}", *_against_truth(plant, result), files, "", ""]))
         reports.append({"plant": plant.name, "true": _truth(plant), "fit": fit_of(result)})
@@ -165,11 +165,7 @@ def _draw(plant: Plant, result: phc.PEMResult, folder: Path) -> None:
     import matplotlib.pyplot as plt
 
     record: Any = result.record
-    response = record.as_response()
-    pictures = {
-        "fit": result.plot(),
-        "bode": phc.bode_plot([result.system, plant.system], data=response, label=["identified", "true"]),
-    }
-    for name, picture in pictures.items():
-        picture.figure.savefig(folder / f"{plant.name}_{name}.png", dpi=120)
-        plt.close(picture.figure)
+    names = ["identified", "true"]
+    picture = phc.bode_plot([result.system, plant.system], data=record.as_response(), label=names)
+    picture.figure.savefig(folder / f"{plant.name}_bode.png", dpi=120)
+    plt.close(picture.figure)
