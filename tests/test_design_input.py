@@ -83,7 +83,6 @@ def least_by_a_general_solver(D, theta, samples, noise, first):
     return np.exp(minimize(logarithm, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 2000}).fun)
 
 
-@pytest.mark.slow
 @SETTINGS
 @given(st.integers(0, 2**32), st.sampled_from(["damping_ratios", "natural_frequencies"]))
 def test_the_spectrum_is_as_good_as_that_of_a_general_solver(seed, purpose):

@@ -842,7 +842,6 @@ def test_bounds_of_a_fit_are_those_that_it_states():
         assert report.stderr[key].real == pytest.approx(fit.stderr[key].real, rel=0.02)
 
 
-@pytest.mark.slow
 def test_coloured_noise_enters_by_its_spectrum():
     h, rng, T = 0.2, np.random.default_rng(2), 900
     u = rng.standard_normal((2, T))
