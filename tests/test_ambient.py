@@ -74,7 +74,7 @@ def test_units_of_the_outputs_and_of_time_change_nothing_else(fit, record):
     np.testing.assert_allclose(scaled.natural_frequencies, 1e3 * fit.natural_frequencies, rtol=1e-5)
     np.testing.assert_allclose(scaled.stderr["damping_ratios"], fit.stderr["damping_ratios"], rtol=1e-4)
     sizes = np.log([1e-9, 1.0, 1e6]).sum() * record.shape[1]
-    np.testing.assert_allclose(scaled.loglik, fit.loglik - sizes, rtol=1e-9)
+    np.testing.assert_allclose(scaled.loglik, fit.loglik - sizes, rtol=0, atol=0.01)
 
 
 @pytest.mark.slow

@@ -28,6 +28,7 @@ _HORIZONS = (1.0, 0.5, 0.25)  # of the longest past
 _CLOSE = 3  # models that are refined before the criterion chooses
 _NEAR = 60.0  # of the smallest BIC: what refinement may make up for
 _STEPS = 12  # of these
+_GAIN = 1e-3  # of twice the log-likelihood by the last step, for each number that moves
 _BINS = 1 << 14  # that orders are compared in
 _REAL = 4  # real poles at most beside modes whose number is given
 _SAME = 1e-13  # of the variance of outputs: what others leave of one that is a combination of these
@@ -118,7 +119,7 @@ class AmbientFit:
         before = self.evaluation.problem
         problem = Problem(before.experiments, before.active, real_shapes=True)
         point = replace(self.evaluation.point, noise=self.noise.of_real_shapes())
-        return replace(self, minimum=minimise(problem, point))
+        return replace(self, minimum=minimise(problem, point, _tolerance(problem, point)))
 
 
 def ambient_fit(
@@ -174,7 +175,7 @@ def _refined(
     refined = list[Minimum]()
     for model in close[:1] if interrupted else close:
         start, steps = _point(problem, model.noise), 0 if interrupted else _STEPS
-        refined.append(minimise(problem, start, steps=steps, report=_telling(reports, start)))
+        refined.append(minimise(problem, start, _tolerance(problem, start), steps, _telling(reports, start)))
         interrupted = interrupted or refined[-1].interrupted
         if interrupted:
             break
@@ -182,7 +183,14 @@ def _refined(
     if interrupted:
         return replace(chosen, interrupted=True)
     start = chosen.evaluation.point
-    return chosen if chosen.converged else minimise(problem, start, report=_telling(reports, start))
+    if chosen.converged:
+        return chosen
+    return minimise(problem, start, _tolerance(problem, start), report=_telling(reports, start))
+
+
+def _tolerance(problem: Problem, start: InnovationsModel) -> float:
+    """What the last step may still gain: far less than the errors of the numbers, of which each gains about 1."""
+    return _GAIN * len(problem.vector(start))
 
 
 def _telling(
@@ -255,10 +263,11 @@ class _Standardised:
                     model = _started(coarse, variates, states)
                     least = min((known.bic for known in best.values()), default=np.inf)
                     worse = 0 if model is not None and model.bic < least else worse + 1
-                    if model is not None and (states not in best or model.bic < best[states].bic):
-                        best[states] = model
-                    if model is not None and (report := reports(model.order)) is not None:
-                        report(states, model.loss(samples))
+                    if model is not None:
+                        kept = model.noise.states  # less those that no continuous motion has
+                        best[kept] = min(best.get(kept, model), model, key=lambda each: each.bic)
+                        if (report := reports(model.order)) is not None:
+                            report(states, model.loss(samples))
                     if automatic and worse > _PATIENCE:
                         break
         except KeyboardInterrupt:
