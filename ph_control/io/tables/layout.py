@@ -232,10 +232,8 @@ class _Text:
         if not any(units) or 2 * sum(map(bool, units)) < sum(unit != "" for unit in units):
             return None
         # a column with a unit holds numbers: letters above letters are a row of the table
-        below = [
-            row for row in self.lines[first : first + _SAMPLE] if row.strip() and not _is_comment(row, self.layout)
-        ]
-        rows = [self.layout.kinds(row) for row in below]
+        below = filter(str.strip, self.lines[first : first + _SAMPLE])
+        rows = [self.layout.kinds(row) for row in below if not _is_comment(row, self.layout)]
         seen = [{row[column : column + 1] for row in rows} for column, unit in enumerate(units) if unit]
         return units if all({"n"} <= letters <= {"n", "m", ""} for letters in seen) else None
 
@@ -255,13 +253,13 @@ def find_bodies(lines: Sequence[str], content: Sequence[int], layout: Layout, he
 
 def _body(text: _Text, shape: _Shape, header: bool | None) -> Body | None:
     """Rows of one shape, from the first to the last, and their labels."""
-    count, width = len(text.content), shape.width
+    count, width, layout = len(text.content), shape.width, text.layout
     first = next((k for k in range(count) if shape.fits(text.letters(k))), None)
     if first is None:
         return None
     behind = next(k for k in range(count, 0, -1) if shape.fits(text.letters(k - 1)))
     # a row with numbers of which one is wrong is a row
-    first = _upward(first, lambda k: _is_row(kinds(text.words(k), text.layout.decimal), "n", width))
+    first = _upward(first, lambda k: len(text.words(k)) == width and "n" in kinds(text.words(k), layout.decimal))
     top = _upward(first, lambda k: _is_row_of_missing(text.letters(k), width))
     headed = _Header() if header is False else text.header_above(text.content[top], width)
     if headed.labels is None and top:
@@ -286,10 +284,6 @@ def _upward(k: int, belongs: Callable[[int], bool]) -> int:
     while k and belongs(k - 1):
         k -= 1
     return k
-
-
-def _is_row(letters: str, kind: str, width: int) -> bool:
-    return kind in letters and len(letters) == width
 
 
 def _is_row_of_missing(letters: str, width: int) -> bool:
