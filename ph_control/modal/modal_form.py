@@ -21,7 +21,7 @@ from .._display import ShownModes
 from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics import polynomials
-from ..numerics.mode_shapes import mac
+from ..numerics.modal_assurance import mac
 from ..numerics.polynomials import COEFFICIENT_LIMIT, WIDE, ScaledCoefficients, decimals
 from .reactance import Reactance
 from .zeros import many_port_zeros, one_port_zeros
