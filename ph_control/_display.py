@@ -177,6 +177,11 @@ def aligned(table: list[list[str]]) -> list[str]:
     ]
 
 
+def first_of(texts: Sequence[str], most: int, others: str = " and {} more") -> str:
+    """The first few of some texts, and that there are others."""
+    return ", ".join(texts[:most]) + others.format(len(texts) - most) * (len(texts) > most)
+
+
 def counted(number: int, noun: str) -> str:
     """Number and noun, plural where it must be."""
     return f"{number} {noun}{'s' * (number != 1)}"

@@ -9,7 +9,7 @@ The search begins next to the modes of the free fit, since the loss has many min
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -213,7 +213,6 @@ class _ParameterPoint:
     problem: _ParametricProblem
     theta: Array
     errors: Array | None = None  # of the parameters, as far as they are known
-    _jacobian: Array | None = field(default=None, repr=False)
 
     @cached_property
     def model(self) -> PhysicalModes:
