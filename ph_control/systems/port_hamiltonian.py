@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
@@ -354,7 +354,7 @@ class PortHamiltonian(LosslessSystem):
         """Parallel connection; PH with a PH system of the same number of ports, or with a gain that takes energy."""
         from .interconnection import parallel
 
-        if is_number(other) and other == 0:
+        if _checks.is_number(other) and other == 0:
             return self
         connection = parallel(self, other)
         return super().__add__(other) if connection is None else connection
@@ -366,13 +366,13 @@ class PortHamiltonian(LosslessSystem):
 
     def __mul__(self, other: ct.StateSpace | ArrayLike) -> ct.StateSpace:
         """Series connection; PH if `other` is a positive number: `B` is scaled by its square root."""
-        if is_number(other) and 0 < other < np.inf:
+        if _checks.is_number(other) and 0 < other < np.inf:
             return self._scaled(float(other))
         return super().__mul__(other)
 
     def __rmul__(self, other: ct.StateSpace | ArrayLike) -> ct.StateSpace:
         """Series connection; PH if `other` is a positive number."""
-        if is_number(other) and 0 < other < np.inf:
+        if _checks.is_number(other) and 0 < other < np.inf:
             return self._scaled(float(other))
         # Python asks the subclass first; StateSpace.__rmul__ would hand the question back without end
         return NotImplemented if isinstance(other, ct.StateSpace) else super().__rmul__(other)
@@ -530,11 +530,6 @@ class PortHamiltonian(LosslessSystem):
         from .canonical_forms import oh
 
         return oh(self, **names)
-
-
-def is_number(value: object) -> TypeGuard[float]:
-    """Whether it is a number, True and False excepted."""
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
 def ph(
