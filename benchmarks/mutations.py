@@ -160,7 +160,7 @@ FAULTS = (
         "validation_kinds",
     ),
     fault("numerics/double_double.py", "rest = ((x[0] - p) - e + x[1])", "rest = ((x[0] - p) + e + x[1])", "twofloat"),
-    fault("numerics/mode_shapes.py", "np.exp(-0.5j * np.angle", "np.exp(0.5j * np.angle", "mode_shapes"),
+    fault("numerics/modal_assurance.py", "np.exp(-0.5j * np.angle", "np.exp(0.5j * np.angle", "modal_assurance"),
     fault("reduction/optimal.py", "Q12.T @ P12 - minus_Q22 @ P22", "Q12.T @ P12 + minus_Q22 @ P22", "reduce"),
     fault(
         "symplectic/darboux_and_casimirs.py",

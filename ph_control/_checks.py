@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from operator import index
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -170,8 +170,7 @@ def complex_matrix(name: str, value: Any, rows: int) -> NDArray[np.complex128]:
 
 def relative_tolerance(rtol: Any) -> float:
     """Check a relative tolerance: a number from 0 to 1, 1 itself excluded."""
-    number = isinstance(rtol, int | float | np.integer | np.floating) and not isinstance(rtol, bool)
-    if not number or not 0 <= rtol < 1:
+    if not is_number(rtol) or not 0 <= rtol < 1:
         raise StructureError(f"rtol is {shown(rtol)}; a relative tolerance is a number from 0 to 1")
     return float(rtol)
 
@@ -475,6 +474,11 @@ def whole_number(name: str, value: Any, least: int | None = None, most: float = 
     return int(value)
 
 
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether this is a real number, of Python or of numpy; True and False are none."""
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+
+
 def is_whole(value: Any) -> bool:
     """Whether this is a whole number, of Python or of numpy; True and False are none."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
@@ -511,8 +515,13 @@ def band(value: Any) -> tuple[float, float]:
 
 def level(name: str, value: Any) -> float:
     """Check a level of confidence."""
-    if isinstance(value, bool) or not (isinstance(value, int | float | np.floating) and 0 < value < 1):
-        raise StructureError(f"{name} is {shown(value)}; it must be a number between 0 and 1, such as 0.95")
+    return between(name, value, 0.0, 1.0, ", such as 0.95")
+
+
+def between(name: str, value: Any, low: float, high: float, advice: str = "") -> float:
+    """Check a number between two others."""
+    if not (is_number(value) and low < value < high):
+        raise StructureError(f"{name} is {shown(value)}; it must be a number between {low:g} and {high:g}{advice}")
     return float(value)
 
 

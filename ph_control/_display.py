@@ -166,6 +166,11 @@ def to_its_error(value: float, error: float) -> str:
     return f"{value:.{max(digits - 1 - power, 0)}f}" if fixed else f"{value:.{digits - 1}e}"
 
 
+def with_error(value: float, error: float) -> list[str]:
+    """Cells of a number and its standard error, empty where that is not known."""
+    return [to_its_error(value, error), f"{error:.2g}" if error > 0 else ""]
+
+
 def aligned(table: list[list[str]]) -> list[str]:
     """Lines of a table of texts, the first row a head, right-aligned but for the last column."""
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
@@ -175,6 +180,11 @@ def aligned(table: list[list[str]]) -> list[str]:
         f" {' '.join(text.rjust(width) for text, width in zip(row[:-1], widths, strict=False))}  {row[-1]}".rstrip()
         for row in table
     ]
+
+
+def first_of(texts: Sequence[str], most: int, others: str = " and {} more") -> str:
+    """The first few of some texts, and that there are others."""
+    return ", ".join(texts[:most]) + others.format(len(texts) - most) * (len(texts) > most)
 
 
 def counted(number: int, noun: str) -> str:
@@ -187,6 +197,11 @@ def p_value(p: float) -> str:
     if np.isnan(p):
         return "p unknown"
     return "p < 1e-300" if p < 1e-300 else f"p = {p:.2g}"
+
+
+def starred(p: float, level: float) -> str:
+    """Cell of a p-value, with a star below a level."""
+    return "-" if np.isnan(p) else f"{p:.2g}" + "*" * bool(p < level)
 
 
 def percent(fit: float) -> str:

@@ -13,7 +13,7 @@ from scipy.special import cosdg, sindg
 
 from .. import _checks
 from .._options import MAGNITUDE_UNITS, PHASE_UNITS, DecimalMark, FrequencyUnit, MagnitudeUnit, PhaseUnit
-from .._types import Array, ComplexArray
+from .._types import Array, ComplexArray, NDArray
 from .._units import with_unit
 from ..exceptions import StructureError, printable
 from .files import read_bytes, source_name
@@ -217,45 +217,40 @@ def are_labels_of_response(labels: Sequence[str]) -> bool:
 # --- columns -----------------------------------------------------------------------------------------------------
 
 
-def _columns_of(table: Table, given: Mapping[str, Any]) -> tuple[int, list[Any], bool]:
-    """Column of the frequency, those of the two parts, (p, m) each, and whether they are magnitude and phase."""
-    pairs = [pair for pair in _PAIRS if any(given[role] is not None for role in pair)]
-    if len(pairs) > 1:
+def _columns_of(table: Table, given: Mapping[str, Any]) -> tuple[int, list[NDArray[np.intp]], bool]:
+    """Column of the frequencies, those of both parts of each entry, shape (p, m), and whether these are polar."""
+    named = [pair for pair in _PAIRS if any(given[role] is not None for role in pair)]
+    if len(named) > 1:
         raise StructureError("magnitude or phase is given, and real or imag too; give one pair of them")
-    places: dict[str, Any] = {
-        role: table.only(_labelled(table.labels or (), role), role)
-        if given[role] is None
-        else _found(table, given[role], role)
-        for role in _LABELS
-    }
-    wanted = pairs or [pair for pair in _PAIRS if all(places[role] is not None for role in pair)]
-    if len(wanted) > 1:
+    columns = {role: _entries(table, role, given[role]) for role in _LABELS}
+    pairs = named or [pair for pair in _PAIRS if all(columns[role].size for role in pair)]
+    if len(pairs) > 1:
         raise StructureError(
             f"{table.path} has magnitude and phase, and real and imaginary part as well; choose with magnitude= and "
             "phase=, or with real= and imag="
         )
-    pair = wanted[0] if wanted else _POLAR
-    clock, *parts = (places[role] for role in ("frequency", *pair))
-    missing = [role for role in ("frequency", *pair) if places[role] is None]
+    pair = pairs[0] if pairs else _POLAR
+    missing = [role for role in ("frequency", *pair) if not columns[role].size]
     if missing:
-        other = "" if wanted else ", or real= and imag= in place of magnitude= and phase="
+        other = "" if pairs else ", or real= and imag= in place of magnitude= and phase="
         raise StructureError(
             f"{table.path}: which column is the {' and which the '.join(missing)}? say which with "
             f"{', '.join(f'{role}=' for role in missing)}{other} ({table.listing()})"
         )
-    shaped = [part if isinstance(part, np.ndarray) else np.full((1, 1), part) for part in parts]
-    if shaped[0].shape != shaped[1].shape:
-        sizes = " and ".join(
-            f"{role} {part.shape[0]} x {part.shape[1]}" for role, part in zip(pair, shaped, strict=True)
-        )
-        raise StructureError(f"columns of {sizes} (outputs x inputs); give both parts of each entry")
-    return clock, shaped, pair == _POLAR
+    parts = [columns[role] for role in pair]
+    if parts[0].shape != parts[1].shape:
+        sizes = [f"{role} {len(part)} x {len(part.T)}" for role, part in zip(pair, parts, strict=True)]
+        raise StructureError(f"columns of {' and '.join(sizes)} (outputs x inputs); give both parts of each entry")
+    return int(columns["frequency"][0, 0]), parts, pair == _POLAR
 
 
-def _found(table: Table, given: Any, role: str) -> Any:
-    """Column that was given, or an array (p, m) of those of a list, or of a list of lists."""
+def _entries(table: Table, role: str, given: Any) -> NDArray[np.intp]:
+    """Columns of one role for each entry of the response, shape (p, m); empty where there are none."""
+    if given is None:
+        place = table.only(_labelled(table.labels or (), role), role)
+        return np.zeros((0, 0), np.intp) if place is None else np.array([[place]])
     if role == "frequency" or not isinstance(given, list | tuple):
-        return table.find(given, role)
+        return np.array([[table.find(given, role)]])
     rows = [row if isinstance(row, list | tuple) else [row] for row in given]
     if len({len(row) for row in rows}) != 1 or not rows[0]:
         raise StructureError(

@@ -21,7 +21,7 @@ from .._display import ShownModes
 from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics import polynomials
-from ..numerics.mode_shapes import mac
+from ..numerics.modal_assurance import mac
 from ..numerics.polynomials import COEFFICIENT_LIMIT, WIDE, ScaledCoefficients, decimals
 from .reactance import Reactance
 from .zeros import many_port_zeros, one_port_zeros
@@ -570,11 +570,10 @@ class ModalForm(ShownModes):
         >>> phc.modes([1.0, 1.0, 3.0], [0.25, 0.5, 0.0]).minimal()
         modes([1.0], [0.75])
         """
-        from .error_bounds import separate
-        from .minimal import minimal_of_exact
+        from .error_bounds import minimal_of_exact, separate
 
-        known = minimal_of_exact(self) if rtol is None else None
-        return separate(self, rtol=rtol).minimal() if known is None else known
+        exact = rtol is None and self.nports == 1 and not len(self.rigid)
+        return minimal_of_exact(self) if exact else separate(self, rtol=rtol).minimal()
 
 
 def _weights_beside(nu: ComplexArray, r: ArrayLike) -> Array:

@@ -25,6 +25,22 @@ def equilibrated(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
     return A, B / scale[:, None], C * scale
 
 
+def balanced(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
+    """Units of the states, powers of two, in which rows and columns are alike in size: those of B and C as well."""
+    if not len(A):
+        return A, B, C
+    # units do not touch the diagonal, which would hide small couplings from the balancing
+    coupling = A - np.diag(np.diag(A))
+    rate = float(np.linalg.norm(dgebal(coupling, scale=1)[0])) or 1.0
+    # the unit of input and output does not matter, nor that of time
+    whole = np.zeros((len(A) + max(len(C), B.shape[1]),) * 2)
+    whole[: len(A), : len(A)] = coupling
+    whole[: len(A), len(A) : len(A) + B.shape[1]] = rate * B / (np.abs(B).max() or 1.0)
+    whole[len(A) : len(A) + len(C), : len(A)] = rate * C / (np.abs(C).max() or 1.0)
+    scale = dgebal(whole, scale=1)[3][: len(A)]
+    return A * scale / scale[:, None], B / scale[:, None], C * scale
+
+
 class SchurResolvent:
     """`(s - A)^-1 B` and `C (s - A)^-1` at points `s` (K,) by one Schur form, O(n^2) a point; NaN at a pole."""
 

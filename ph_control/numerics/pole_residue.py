@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import schur
-from scipy.linalg.lapack import dgebal, ztrtrs
+from scipy.linalg.lapack import ztrtrs
 
 from .. import _checks
 from .._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..exceptions import NotLosslessError, StructureError
 from .graphs import components
-from .invariant_subspaces import SAFETY, clusters, eigenvalues_of, invariant_block, reordered, schur_form
+from .invariant_subspaces import SAFETY, balanced, clusters, eigenvalues_of, invariant_block, reordered, schur_form
 from .polynomials import COEFFICIENT_LIMIT, fractions_from_coefficients
 
 _PARALLEL = np.sqrt(_checks.EPS)  # eigenvectors that nearly coincide are those of a Jordan block
@@ -116,7 +116,8 @@ def _joined(forms: list[PoleResidueForm], residues: list[ComplexArray], feedthro
 
 
 def _from_coupled_states(A: Array, B: Array, C: Array, D: Array, rest: float) -> PoleResidueForm:
-    A, B, C = _balanced(A, B, C)
+    A, B, C = balanced(A, B, C)
+    _checks.representable("the balanced state-space matrices", A, B, C)
     given = Resolvent.of(A, B, C)
     resolvent, sizes = _rest_first(given, rest)
     blocks = _spectral_blocks(resolvent, sizes, rest)
@@ -147,22 +148,6 @@ def _reached(links: Mask, start: Mask) -> Mask:
         if (grown == reached).all():
             return grown
         reached = grown
-
-
-def _balanced(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
-    """Units of the states, powers of two, in which rows and columns are alike in size: those of B and C as well."""
-    # units do not touch the diagonal, which would hide small couplings from the balancing
-    coupling = A - np.diag(np.diag(A))
-    rate = float(np.linalg.norm(dgebal(coupling, scale=1)[0])) or 1.0
-    # the unit of input and output does not matter, nor that of time
-    whole = np.zeros((len(A) + max(len(C), B.shape[1]),) * 2)
-    whole[: len(A), : len(A)] = coupling
-    whole[: len(A), len(A) : len(A) + B.shape[1]] = rate * B / np.abs(B).max()
-    whole[len(A) : len(A) + len(C), : len(A)] = rate * C / np.abs(C).max()
-    scale = dgebal(whole, scale=1)[3][: len(A)]
-    A, B, C = A * scale / scale[:, None], B / scale[:, None], C * scale
-    _checks.representable("the balanced state-space matrices", A, B, C)
-    return A, B, C
 
 
 def _static(D: Array) -> PoleResidueForm:

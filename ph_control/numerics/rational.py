@@ -12,12 +12,11 @@ import control as ct
 import numpy as np
 import scipy.signal
 from scipy.linalg import block_diag
-from scipy.linalg.lapack import dgebal
 
 from .. import _checks
 from .._types import Array, ComplexArray
 from ..exceptions import StructureError
-from .invariant_subspaces import equilibrated
+from .invariant_subspaces import balanced, equilibrated
 
 LinearSystem: TypeAlias = ct.StateSpace | ct.TransferFunction | scipy.signal.lti
 Table = list[list[Array]]
@@ -89,7 +88,7 @@ def _realized(sys: ct.TransferFunction, num: Table, den: Table) -> ct.StateSpace
         A, B, C, D = by_columns
     else:
         A, C, B, D = (matrix.T for matrix in by_rows)
-    A, B, C = _balanced(A, B, C)
+    A, B, C = balanced(A, B, C)
     gain = unit + sum(_exponent(part) for part in (B, C)) if len(A) else 0
     B, C = (np.ldexp(part, -_exponent(part) + share) for part, share in ((B, gain // 2), (C, gain - gain // 2)))
     A = np.ldexp(A, unit)
@@ -219,18 +218,3 @@ def _is_same(monic: Array, other: Array) -> bool:
     if len(monic) != len(other):
         return False
     return bool(np.all(np.abs(other / other[0] - monic) <= _SAME * _checks.EPS * np.abs(monic)))
-
-
-def _balanced(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
-    """States in units, powers of two, in which rows and columns of the whole are alike in size."""
-    n = len(A)
-    if not n:
-        return A, B, C
-    p, m = len(C), B.shape[1]
-    size = np.ldexp(1.0, _exponent(A))
-    whole = np.zeros((n + max(p, m),) * 2)
-    whole[:n, :n] = A
-    whole[:n, n : n + m] = size * B / (np.abs(B).max() or 1.0)
-    whole[n : n + p, :n] = size * C / (np.abs(C).max() or 1.0)
-    scale = dgebal(whole, scale=1)[3][:n]
-    return A * scale / scale[:, None], B / scale[:, None], C * scale

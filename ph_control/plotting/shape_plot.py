@@ -18,7 +18,7 @@ from .._options import ResponseInterpolation
 from .._types import Array, ComplexArray, Indices
 from .._units import DERIVATIVES, parted, unit_for
 from ..exceptions import StructureError
-from ..numerics.mode_shapes import aligned_shapes, mac, phase_collinearity
+from ..numerics.modal_assurance import aligned_shapes, mac, phase_collinearity
 from .frf_plot import (
     MODEL_LINE,
     NARROWEST,

@@ -23,7 +23,7 @@ from .._options import AxisScale
 from .._types import Array, ComplexArray, Indices, Mask
 from .._units import unit_for
 from ..exceptions import StructureError
-from ..numerics.mode_shapes import stable_poles
+from ..numerics.modal_assurance import stable_poles
 from .fit_plot import Outputs, draw_outputs, line_of_model
 from .inputs import measurements_of, recording_in, table_in
 from .response_picture import Curve, DrawnResponses, FrequencyAxis, Scale, decibels, draw_part, is_logarithmic

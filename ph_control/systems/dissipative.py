@@ -216,10 +216,6 @@ class DissipativePortHamiltonian(PortHamiltonian):
             terms.append("a structure matrix J of its own")
         return terms + ([f"{sensors} sensor{'s' * (sensors > 1)}"] if sensors else []) or ["room for losses"]
 
-    @property
-    def _spectrum(self) -> ModalForm:
-        return self.modes
-
     def frequency_response(
         self, omega: ArrayLike | None = None, squeeze: bool | None = None
     ) -> ct.FrequencyResponseData:
@@ -242,7 +238,6 @@ class DissipativePortHamiltonian(PortHamiltonian):
     v = property(_lossless_only("v", "Williamson coordinates are"))
     is_canonical = property(_lossless_only("is_canonical", "canonical systems are"))
     _energy = property(_lossless_only("_energy", "Williamson coordinates are"))
-    _reduction = property(_lossless_only("_reduction", "the canonical part and its margins are"))
     rigid_modes = property(_lossless_only("rigid_modes", "rigid-body modes are"))
     _separation = _lossless_only("_separation", "the canonical part and its margins are")
 

@@ -19,7 +19,7 @@ from ..symplectic.darboux_and_casimirs import split_casimirs
 from ..symplectic.forms_and_williamson import direct_sum
 from .base import LETTERS
 from .dissipative import PARTS, is_canonical, parts_of, restored
-from .port_hamiltonian import PortHamiltonian, is_number
+from .port_hamiltonian import PortHamiltonian
 
 Ports = tuple[int | str, int | str] | Sequence[tuple[int | str, int | str]]
 
@@ -567,7 +567,7 @@ def _partner(first: PortHamiltonian, other: Any, spread: Array) -> PortHamiltoni
 
 def _gain(value: Any, m: int, spread: Array) -> Array | None:
     """Matrix of a constant gain that makes no energy, of a number times `spread`; None where it is none such."""
-    if is_number(value):
+    if _checks.is_number(value):
         value = np.array(float(value))
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "iuf" or not np.isfinite(value).all():
         return None

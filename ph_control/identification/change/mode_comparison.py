@@ -9,11 +9,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ... import _checks
-from ..._display import Report, aligned, counted, to_its_error
+from ..._display import Report, aligned, counted, starred, with_error
 from ..._frozen import Frozen
 from ..._types import Array, Indices, Mask
 from ..._units import common_unit, hertz_size, rate
-from ...exceptions import StructureError
 from .multiple_tests import holm, two_sided
 
 _FACTOR = 2.0  # by which real poles that are a pair may differ
@@ -156,14 +155,11 @@ class ModeComparison(Report, Frozen):
                 self._p(self.adjusted_real_pole_p[k])]  # fmt: skip
 
     def _p(self, p: float) -> str:
-        return "-" if np.isnan(p) else f"{p:.2g}" + "*" * bool(p < self.level)
+        return starred(p, self.level)
 
 
 def _both(values: Array, errors: Array) -> list[str]:
-    cells = []
-    for value, error in zip(values, errors, strict=True):
-        cells += [to_its_error(float(value), float(error)), f"{error:.2g}" if error > 0 else ""]
-    return cells
+    return [cell for each in zip(values.tolist(), errors.tolist(), strict=True) for cell in with_error(*each)]
 
 
 def _number(value: float) -> str:
@@ -175,8 +171,7 @@ def compared_modes(
 ) -> ModeComparison:
     """Pair modes and real poles of two results, and hold their shifts against their errors."""
     for name, value in (("frequency_tolerance", frequency_tolerance), ("least_mac", least_mac)):
-        if isinstance(value, bool) or not (isinstance(value, int | float | np.integer | np.floating) and 0 < value < 1):
-            raise StructureError(f"{name} is {_checks.shown(value)}; expected a number between 0 and 1")
+        _checks.between(name, value, 0.0, 1.0)
     level = _checks.level("level", level)
     unit = common_unit(before, after)
     alike = before.mac(after) if _have_same_outputs(before, after) else None

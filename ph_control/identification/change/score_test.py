@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 
 from ... import _checks
 from ..._checks import EPS
-from ..._display import Report, aligned, p_value, to_its_error
+from ..._display import Report, aligned, p_value, starred, with_error
 from ..._frozen import Frozen
 from ..._options import TESTED_PARAMETERS
 from ..._types import Array, Indices
@@ -150,23 +150,17 @@ class ChangeTest(Report, Frozen):
         d = self.natural_frequencies[l]
         shift, error = 100 * self.frequency_shift[l] / d, 100 * self.frequency_shift_stderr[l] / d
         damping, damping_error = 100 * self.damping_shift[l], 100 * self.damping_shift_stderr[l]
-        return [str(l + 1), f"{self.hertz[l]:.6g}", *_cells(shift, error), *_cells(damping, damping_error),
+        return [str(l + 1), f"{self.hertz[l]:.6g}", *with_error(shift, error), *with_error(damping, damping_error),
                 *self._test_cells(l)]  # fmt: skip
 
     def _pole_cells(self, l: int) -> list[str]:
         pole, size = self.real_poles[l], 100 / max(abs(self.real_poles[l]), np.finfo(float).tiny)
         shift, error = size * self.real_pole_shift[l], size * self.real_pole_shift_stderr[l]
         tested = self._test_cells(len(self.natural_frequencies) + l)
-        return [str(l + 1), f"{pole:.6g}", *_cells(shift, error), *tested]
+        return [str(l + 1), f"{pole:.6g}", *with_error(shift, error), *tested]
 
     def _test_cells(self, l: int) -> list[str]:
-        p = self.mode_p[l]
-        shown = "-" if np.isnan(p) else f"{p:.2g}" + "*" * bool(p < self.level)
-        return [f"{self.mode_statistic[l]:.4g}", str(self.mode_dof[l]), shown]
-
-
-def _cells(shift: float, error: float) -> list[str]:
-    return [to_its_error(shift, error), f"{error:.2g}" if error > 0 else ""]
+        return [f"{self.mode_statistic[l]:.4g}", str(self.mode_dof[l]), starred(self.mode_p[l], self.level)]
 
 
 def score_test(result: Any, data: Any, parameters: str, level: float, dt: float | None) -> ChangeTest:

@@ -12,6 +12,7 @@ import numpy as np
 from control import FrequencyResponseData, TimeResponseData
 
 from ... import _checks
+from ..._display import first_of
 from ..._options import ResponseInterpolation
 from ..._types import Array, ComplexArray, Indices
 from ..._units import checked_unit
@@ -261,7 +262,7 @@ def single(data: CheckedData) -> Record | FrequencyRecord:
 
 
 def _listed(labels: Labels) -> str:
-    return ", ".join(map(repr, labels[:8])) + ", ..." * (len(labels) > 8) or "no names"
+    return first_of([*map(repr, labels)], 8, ", ...") or "no names"
 
 
 @overload

@@ -12,6 +12,7 @@ from control import TimeResponseData
 
 from ... import _checks
 from ..._checks import labelled
+from ..._display import first_of
 from ..._units import checked_unit
 from ...exceptions import StructureError
 from ...io.tables.columns import is_time_label, unit_of_time
@@ -275,8 +276,7 @@ def _with_unit(label: str, coordinate: Any) -> str:
 
 
 def _listing(labels: list[str]) -> str:
-    more = f" and {len(labels) - _SHOWN} more" if len(labels) > _SHOWN else ""
-    return "the columns are " + ", ".join(map(repr, labels[:_SHOWN])) + more
+    return f"the columns are {first_of([*map(repr, labels)], _SHOWN)}"
 
 
 def _column(frame: Any, label: Any) -> Any:

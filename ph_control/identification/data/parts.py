@@ -11,7 +11,6 @@ import numpy as np
 from ..._types import Array, NDArray
 from .time_record import LONG, CheckedData, InTime
 
-GLANCE = 1 << 18  # numbers of a part that is asked whether there are losses
 _BLOCK = 1 << 18  # numbers that are looked at at a time
 
 

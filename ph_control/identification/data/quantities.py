@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ... import _checks
-from ..._display import counted
+from ..._display import counted, first_of
 from ..._options import QUANTITIES
 from ...exceptions import StructureError
 from ...io.tables.columns import is_time_label
@@ -128,7 +128,5 @@ def measured_by(quantities: Sequence[str], labels: Sequence[str]) -> str:
         for quantity in QUANTITIES
     }
     return "; ".join(
-        f"{quantity} of {', '.join(map(repr, names[:6]))}" + f" and {len(names) - 6} more" * (len(names) > 6)
-        for quantity, names in outputs.items()
-        if names
+        f"{quantity} of {first_of([*map(repr, names)], 6)}" for quantity, names in outputs.items() if names
     )

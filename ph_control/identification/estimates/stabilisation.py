@@ -13,7 +13,7 @@ from ..._display import Report, aligned
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..._units import hertz_size
-from ...numerics.mode_shapes import stable_poles
+from ...numerics.modal_assurance import stable_poles
 from ...plotting.validation_plot import stabilisation_plot
 
 Orders = Sequence[tuple[ComplexArray, ComplexArray]]  # poles (n,) and shapes (n, p) of each

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import binary_closing
 
 from ..._checks import EPS
-from ..._display import counted
+from ..._display import counted, first_of
 from ..._types import Array
 from ..._units import rate
 from ..regression.triangular import triangle
@@ -58,8 +58,8 @@ class ExcitedBand:
             return f"{counted(len(self.lines), 'spectral line')}, at {lines} {rate(self.time_unit)}"
         if not self.intervals:
             return "none: the input is constant" if self.order else "none: the input is zero"
-        shown = ", ".join(f"{low:.4g} .. {high:.4g}" for low, high in self.intervals[:4])
-        return shown + (" ..." if len(self.intervals) > 4 else "") + f" {rate(self.time_unit)}"
+        shown = first_of([f"{low:.4g} .. {high:.4g}" for low, high in self.intervals], 4, " ...")
+        return f"{shown} {rate(self.time_unit)}"
 
     @property
     def shown_weights(self) -> float:

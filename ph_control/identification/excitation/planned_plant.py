@@ -16,7 +16,7 @@ from ..._units import common_unit, hertz_size
 from ...exceptions import StructureError
 from ...modal.modal_form import ModalForm
 from ...systems.port_hamiltonian import modes
-from ..regression.free_prediction import natural_jacobian
+from ..regression.free_prediction import halved, natural_jacobian
 from ..regression.sections import Sections
 from ..structure.coordinates import ShapeCoordinates
 from ..structure.layout import ChannelLayout
@@ -81,9 +81,8 @@ class PlannedPlant:
 
     @classmethod
     def _of_result(cls, result: Any) -> PlannedPlant:
-        halves = np.where(result.poles.imag == 0, 0.5, 1.0)[:, None, None]
         return cls(
-            result.poles, halves * result.residues, result.feedthrough,
+            result.poles, halved(result.poles, result.residues), result.feedthrough,
             ~np.isnan(result.stderr["feedthrough"]) & (result.feedthrough != 0), result.structure, result.quantities,
             result.ports, result.input_labels, result.output_labels, result.time_unit, result.method,
             result.intersample, result.noise,
@@ -106,9 +105,8 @@ class PlannedPlant:
             tuple(labels) if labels else tuple(f"{letter}[{k}]" for k in range(count))
             for labels, letter, count in zip(names, "uy", (inputs, outputs), strict=True)
         ]
-        halves = np.where(p[rank].imag == 0, 0.5, 1.0)[:, None, None]
         return cls(
-            p[rank], halves * residues[rank], through, through != 0, "free", ("free",) * outputs, (), given[0],
+            p[rank], halved(p[rank], residues[rank]), through, through != 0, "free", ("free",) * outputs, (), given[0],
             given[1], common_unit(model),
         )  # fmt: skip
 

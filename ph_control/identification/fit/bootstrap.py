@@ -20,7 +20,7 @@ from ..diagnosis.changing_noise import levels_of
 from ..diagnosis.hum import Tones
 from ..diagnosis.unequal_noise import experiments_of
 from ..regression.free import FreeProjection, GivenResidues, refine_free
-from ..regression.free_prediction import FittedChannels
+from ..regression.free_prediction import FittedChannels, halved
 from ..regression.frequency_rows import FreeResponse, terms_in
 from ..regression.prediction import ResponseBackground, state_of
 from ..regression.sections import PoleRegion
@@ -338,7 +338,7 @@ class _Refit:
         layout = ChannelLayout(p, m, 1.0 / path.sizes, result.quantities, result.ports, per_entry=per_entry)
         fed = path.felt | (result.feedthrough.reshape(path.felt.shape) != 0) if m else path.felt
         projection = FreeProjection(rows, result.poles, fed)
-        halves = np.where(result.poles.imag == 0, 0.5, 1.0)[:, None, None] * result.residues
+        halves = halved(result.poles, result.residues)
         given = GivenResidues(
             projection,
             layout.joined(halves, result.feedthrough, projection.has_feedthrough) if m else projection.shared,

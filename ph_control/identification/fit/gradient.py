@@ -225,8 +225,7 @@ def gradient_descent(
     """
     _checks.choice("parameters", parameters, get_args(Parameters))
     _checks.choice("optimizer", optimizer, get_args(Optimizer))
-    number = isinstance(learning_rate, int | float | np.integer | np.floating) and not isinstance(learning_rate, bool)
-    if not (number and 0 < learning_rate < float(np.finfo(float).max)):
+    if not (_checks.is_number(learning_rate) and 0 < learning_rate < float(np.finfo(float).max)):
         raise StructureError(f"learning_rate is {_checks.shown(learning_rate)}; it must be a positive number")
     rate, steps = float(learning_rate), _checks.whole_number("epochs", epochs, 1, _MOST)
     record = as_record(data, dt)

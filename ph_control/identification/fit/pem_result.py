@@ -39,6 +39,7 @@ from ..regression.free import Lateness
 from ..regression.free_prediction import (
     FittedChannels,
     estimated_motion,
+    halved,
     moved_freely,
     predicted_outputs,
     unknown_samples,
@@ -711,7 +712,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
                 "this result was not fitted to responses that were estimated with a window; its response is "
                 "result.observed_system(1j * omega)"
             )
-        halves = np.where(self.poles.imag == 0, 0.5, 1.0)[:, None, None] * self.residues
+        halves = halved(self.poles, self.residues)
         frequencies = _checks.real_array("omega", omega, 1)
         return response_through(self.window, frequencies, self.poles, halves, self.feedthrough)
 

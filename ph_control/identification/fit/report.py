@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..._display import Report, aligned, counted, html_heading, html_report, html_table, p_value, percent, to_its_error
+from ..._display import (
+    Report,
+    aligned,
+    counted,
+    first_of,
+    html_heading,
+    html_report,
+    html_table,
+    p_value,
+    percent,
+    to_its_error,
+)
+from ..._types import Array
 from ..._units import step_of
 from ...exceptions import printable, shortened
 from ..data.quantities import measured_by
@@ -78,8 +90,8 @@ def _offset_line(result: PEMResult) -> list[str]:
     values, errors = np.ravel(result.offsets), np.ravel(result.stderr["offset"])
     if not np.isfinite(errors).any():
         return []
-    pairs = [f"{value:.6g} +- {error:.2g}" for value, error in zip(values[:_SHOWN], errors[:_SHOWN], strict=True)]
-    return [f"  offset          {', '.join(pairs)}" + ", ..." * (len(values) > _SHOWN)]
+    pairs = [f"{value:.6g} +- {error:.2g}" for value, error in zip(values, errors, strict=True)]
+    return [f"  offset          {first_of(pairs, _SHOWN, ', ...')}"]
 
 
 def _criteria_line(result: PEMResult) -> str:
@@ -109,12 +121,13 @@ def mode_table(model: PEMResult) -> list[list[str]]:
     else:
         head.append("collinearity")
         last = [f"{value:.3f}" for value in model.phase_collinearity]
-    rows = []
-    for k in range(n):
-        pairs = [(values[k], errors[k]) for values, errors in columns]
-        cells = [text for value, error in pairs for text in (to_its_error(value, error), to_its_error(error, error))]
-        rows.append([str(k + 1), *cells, last[k]])
-    return [head, *rows]
+    return [head, *([str(k + 1), *_with_errors(columns, k), last[k]] for k in range(n))]
+
+
+def _with_errors(columns: Sequence[tuple[Array, Array]], k: int) -> list[str]:
+    """Cells of the row `k` of columns of values and their errors."""
+    pairs = [(values[k], errors[k]) for values, errors in columns]
+    return [text for value, error in pairs for text in (to_its_error(value, error), to_its_error(error, error))]
 
 
 def parameter_table(fitted: FittedParameters | None) -> list[list[str]]:
@@ -135,14 +148,10 @@ def real_pole_table(model: PEMResult) -> list[list[str]]:
     residues = np.reshape(model.residues[n:], (len(poles), model.residues.size // max(1, len(model.poles))))
     alone = residues.shape[1] == 1
     head = ["real pole", f"p [1/{unit}]", "+-", f"time constant [{unit}]", "+-", *(["residue", "+-"] if alone else [])]
-    errors = np.reshape(stderr["residues"][n:], residues.shape).real
-    rows = []
-    for k, pole in enumerate(poles.tolist()):
-        pairs = [(pole, stderr["real_poles"][k]), (constants[k], stderr["time_constants"][k])]
-        pairs += [(residues[k, 0].real, errors[k, 0])] if alone else []
-        cells = [text for value, error in pairs for text in (to_its_error(value, error), to_its_error(error, error))]
-        rows.append([str(k + 1), *cells])
-    return [head, *rows]
+    columns = [(poles, stderr["real_poles"]), (constants, stderr["time_constants"])]
+    if alone:
+        columns.append((residues[:, 0].real, np.reshape(stderr["residues"][n:], residues.shape).real[:, 0]))
+    return [head, *([str(k + 1), *_with_errors(columns, k)] for k in range(len(poles)))]
 
 
 def _delay_line(result: PEMResult) -> list[str]:
@@ -157,19 +166,15 @@ def _delay_line(result: PEMResult) -> list[str]:
     if len(pairs) > 1:
         shown = [f"{label!r} {text}" for (label, *_), text in zip(pairs, shown, strict=True)]
     unit = f" {result.time_unit}" * (result.time_unit is not None)
-    more = f" and {len(shown) - _NAMED} more" * (len(shown) > _NAMED)
-    return [f"  delay           {', '.join(shown[:_NAMED])}{more}{unit}, in predictions and not in system"]
+    return [f"  delay           {first_of(shown, _NAMED)}{unit}, in predictions and not in system"]
 
 
 def _input_delay_line(result: PEMResult) -> list[str]:
     """Dead times of inputs, in predictions and not in `system`."""
-    late = [(name, time) for name, time in zip(result.input_labels, result.input_delay.tolist(), strict=True) if time]
-    if not late:
-        return []
-    shown = ", ".join(f"{name!r} {time:.6g}" for name, time in late[:_NAMED])
-    more = f" and {len(late) - _NAMED} more" * (len(late) > _NAMED)
+    times = zip(result.input_labels, result.input_delay.tolist(), strict=True)
+    late = [f"{name!r} {time:.6g}" for name, time in times if time]
     unit = f" {result.time_unit}" * (result.time_unit is not None)
-    return [f"  dead times      {shown}{more}{unit}, in predictions and not in system"]
+    return [f"  dead times      {first_of(late, _NAMED)}{unit}, in predictions and not in system"] * bool(late)
 
 
 def counted_poles(result: PEMResult) -> str:
@@ -185,8 +190,7 @@ def test_table(tests: Iterable[HypothesisTest]) -> list[list[str]]:
 
 
 def _listed(labels: Sequence[str]) -> str:
-    shown = ", ".join(repr(label) for label in labels[:_NAMED])
-    return shown + f" and {len(labels) - _NAMED} more" * (len(labels) > _NAMED)
+    return first_of([*map(repr, labels)], _NAMED)
 
 
 def _channel_lines(result: PEMResult) -> list[str]:

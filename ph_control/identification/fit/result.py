@@ -20,7 +20,7 @@ from ...exceptions import StructureError
 from ...io.codecs import save
 from ...io.files import as_path, refuse_unwritable, write_atomically
 from ...modal.modal_form import ModalForm
-from ...numerics.mode_shapes import mac, phase_collinearity
+from ...numerics.modal_assurance import mac, phase_collinearity
 from ...plotting.fit_plot import fit_plot
 from ...plotting.frf_plot import frf_plot, nyquist_plot
 from ...plotting.shape_plot import circle_plot, mac_plot, over_inputs, shape_plot

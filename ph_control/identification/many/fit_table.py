@@ -10,7 +10,7 @@ import control as ct
 import numpy as np
 
 from ... import _checks
-from ..._display import Report, aligned, counted, to_its_error
+from ..._display import Report, aligned, counted, with_error
 from ..._frozen import Frozen
 from ..._types import ComplexArray, NDArray
 from ...exceptions import MissingPackageError, StructureError
@@ -147,8 +147,7 @@ class FitTable(Report, Frozen):
         See `fit_many`.
         """
         for name, value in (("frequency_tolerance", frequency_tolerance), ("least_mac", least_mac)):
-            if not (isinstance(value, int | float | np.number) and 0 < value < 1):
-                raise StructureError(f"{name} is {_checks.shown(value)}; expected a number between 0 and 1")
+            _checks.between(name, value, 0.0, 1.0)
         for name, count in (("window", window), ("gap", gap), ("shortest", shortest)):
             _checks.whole_number(name, count, 0 if name == "gap" else 1)
         ids = followed(self.table, self.shapes, frequency_tolerance, least_mac, window, gap, shortest)
@@ -211,9 +210,7 @@ class FitTable(Report, Frozen):
         (array([5, 6, 7]), 5, 0.001)
         """
         for name, value, most in (("false_alarms", false_alarms, 0.1), ("shift", shift, 100.0)):
-            if isinstance(value, bool) or not (
-                isinstance(value, int | float | np.integer | np.floating) and 0 < value <= most
-            ):
+            if not (_checks.is_number(value) and 0 < value <= most):
                 raise StructureError(f"{name} is {_checks.shown(value)}; expected a number above 0, up to {most:g}")
         return chart_of_recordings(self, float(false_alarms), float(shift))
 
@@ -302,10 +299,6 @@ def _cells(row: Any) -> list[str]:
     if row["mode"] < 0:
         return [row["name"], "-", "-", "", "-", "", "-", row["structure"], message]
     fit = f"{row['fit_percent']:.2f}"
-    return [row["name"], str(row["mode"] + 1), *_with_error(row["hertz"], row["hertz_stderr"]),
-            *_with_error(100 * row["damping_ratio"], 100 * row["damping_ratio_stderr"]), fit, row["structure"],
+    return [row["name"], str(row["mode"] + 1), *with_error(row["hertz"], row["hertz_stderr"]),
+            *with_error(100 * row["damping_ratio"], 100 * row["damping_ratio_stderr"]), fit, row["structure"],
             message]  # fmt: skip
-
-
-def _with_error(value: float, error: float) -> tuple[str, str]:
-    return to_its_error(value, error), f"{error:.2g}" if error > 0 else ""

@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from ..._display import Report, aligned, counted
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Indices, NDArray
-from ...numerics.mode_shapes import mac
+from ...numerics.modal_assurance import mac
 from .track_plot import tracks_plot
 
 _TREND = 5  # recordings of a mode from which on they have a trend

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ..._types import Array, ComplexArray, Indices
-from ...numerics.mode_shapes import mac
+from ...numerics.modal_assurance import mac
 from .physical_modes import PhysicalModes
 
 _UNLIKE = 0.5  # logarithm of a ratio of frequencies that counts as much as shapes that have nothing in common

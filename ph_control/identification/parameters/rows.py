@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from ..._types import Array, ComplexArray
+from ..._types import Array
 from ..regression.free import FreeRows
+from ..regression.free_prediction import halved
 from ..regression.frequency_rows import FreeResponse
 from ..regression.time_rows import FreeRecord
 from .physical_modes import PhysicalModes
@@ -47,7 +48,7 @@ class RowsRemainder:
 
 def shared_unknowns(rows: FreeRows, model: PhysicalModes, scales: Array, through: bool) -> Array:
     """Residues and feedthrough of the outputs of rows, as `predict` takes them, shape (.., q)."""
-    halves = np.where(model.real, 0.5, 1.0)[:, None, None] * model.residues
+    halves = halved(model.poles, model.residues)
     entries, m = rows.outputs, model.participation.shape[1]
     if isinstance(rows, FreeRecord):
         residues, D = halves[:, entries], model.feedthrough[entries]
@@ -76,7 +77,7 @@ def _remainder_of_response(rows: FreeResponse, model: PhysicalModes, scales: Arr
     entries, (_, m) = rows.outputs, model.feedthrough.shape
     o, i = np.divmod(entries, m)
     peaks = rows.peaks(model.poles)
-    n, halves = len(model.poles), np.where(model.real, 0.5, 1.0)[:, None] * model.residues[:, o, i]
+    n, halves = len(model.poles), halved(model.poles, model.residues)[:, o, i]
     columns = np.concatenate([peaks.ahead + peaks.behind, 1j * (peaks.ahead - peaks.behind), rows.direct])
     weights = np.concatenate([halves.real, halves.imag, model.feedthrough[o, i][None]])
     remainder = rows.target - rows.in_rows((weights / scales[entries]).T @ columns)
@@ -244,5 +245,5 @@ def of_modes(rows: Any, model: PhysicalModes, places: Any, scales: Array, own: A
         return rows.at(some.poles).predict(shared_unknowns(rows, some, scales, rows.through), mine)
     o, i = np.divmod(rows.outputs, some.feedthrough.shape[1])
     peaks = rows.peaks(some.poles)
-    halves: ComplexArray = np.where(some.real, 0.5, 1.0)[:, None] * some.residues[:, o, i] / scales[rows.outputs]
+    halves = halved(some.poles, some.residues)[:, o, i] / scales[rows.outputs]
     return halves.real.T @ (peaks.ahead + peaks.behind) + 1j * halves.imag.T @ (peaks.ahead - peaks.behind)

@@ -22,7 +22,7 @@ from ..._frozen import Frozen
 from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask
 from ..._units import hertz_size
 from ...exceptions import StructureError
-from ...numerics.mode_shapes import mac
+from ...numerics.modal_assurance import mac
 from ..uncertainty.draws import normal_interval
 from .fitted_parameters import FittedParameters, ParameterInformation, named_combination
 from .model_function import ModelFunction

@@ -71,6 +71,11 @@ def natural_jacobian(p: ComplexArray) -> Array:
     return J
 
 
+def halved(p: ComplexArray, residues: ComplexArray) -> ComplexArray:
+    """Residues (n, q, m) beside those of conjugate poles: of real poles, which are their own, half of each."""
+    return np.where(p.imag == 0, 0.5, 1.0)[:, None, None] * residues
+
+
 def predicted_outputs(
     p: ComplexArray, residues: ComplexArray, through: Array, u: Array, hold: Hold, delay: Array | None = None,
     input_delay: Array | None = None,
@@ -106,7 +111,7 @@ def _late_outputs(p: ComplexArray, residues: ComplexArray, through: Array, u: Ar
     y = np.zeros((outputs, u.shape[1]))
     rows = FreeRecord(u, y, np.ones(u.shape[1], bool), hold, moving=False, outputs=np.arange(outputs))
     rows = rows.delayed(delay + early * hold.h)
-    each = np.moveaxis(np.where(p.imag == 0, 0.5, 1.0)[:, None, None] * residues, 2, 0)
+    each = np.moveaxis(halved(p, residues), 2, 0)
     shared = np.concatenate([each.real, each.imag, through.T[:, None]], axis=1).reshape(-1, outputs)
     return np.asarray(rows.at(p).predict(shared, np.zeros((0, outputs)))[:, early:])
 

@@ -12,7 +12,7 @@ from enum import Enum
 
 import numpy as np
 
-from ..._display import p_value, to_its_error
+from ..._display import first_of, p_value, to_its_error
 from ..._options import HYPOTHESES
 from ..._units import hertz_size
 
@@ -112,9 +112,8 @@ class Finding:
     experiment: int = 0
 
     def __repr__(self) -> str:
-        values = ", ".join(f"{value:.4g}" for value in self.values[:_SHOWN])
-        more = f", ... {len(self.values) - _SHOWN} more" if len(self.values) > _SHOWN else ""
-        parts = [f"({values}{more})", f"gain={self.gain:.4g}"]
+        values = first_of([f"{value:.4g}" for value in self.values], _SHOWN, ", ... {} more")
+        parts = [f"({values})", f"gain={self.gain:.4g}"]
         parts += [f"output={self.output!r}"] * bool(self.output)
         parts += [f"experiment={self.experiment}"] * bool(self.experiment)
         return f"Finding({self.cause.name}, {', '.join(parts)})"
@@ -145,7 +144,7 @@ def _gain(finding: Finding) -> str:
 
 
 def _listed_values(finding: Finding) -> str:
-    return ", ".join(f"{value:.3g}" for value in finding.values[:4]) + ", ..." * (len(finding.values) > 4)
+    return first_of([f"{value:.3g}" for value in finding.values], 4, ", ...")
 
 
 def _experiment(finding: Finding, word: str) -> str:
@@ -287,7 +286,7 @@ def _of_changing_noise(finding: Finding, terms: _Terms) -> str:
         f"{size / quiet:.3g} times from sample {start:.0f}{f' to {end - 1:.0f}' if np.isfinite(end) else ' on'}"
         for start, end, size in zip(starts, ends, sizes, strict=True) if size > quiet
     ]  # fmt: skip
-    listed = ", ".join(spans[:_LISTED]) + ", ..." * (len(spans) > _LISTED)
+    listed = first_of(spans, _LISTED, ", ...")
     return (
         f"The noise{f' of {finding.output!r}' * bool(finding.output)}{_experiment(finding, 'in')} changes: beside its "
         f"lowest level it is {listed} ({_gain(finding)}). Each sample counts by the noise of its span; look for what "
@@ -333,8 +332,7 @@ def _of_saturation(finding: Finding, terms: _Terms) -> str:
 
 
 def _of_wild_lines(finding: Finding, terms: _Terms) -> str:
-    lines = finding.values
-    listed = ", ".join(f"{terms.frequency(line):.6g}" for line in lines[:_LISTED]) + ", ..." * (len(lines) > _LISTED)
+    listed = first_of([f"{terms.frequency(line):.6g}" for line in finding.values], _LISTED, ", ...")
     return (
         f"The response{_experiment(finding, 'of')} was left out at {listed} {terms.frequency_unit}: values there "
         "do not go with the modes that explain all others, as where an integrated signal is divided by a frequency "
@@ -427,11 +425,8 @@ def sentences_of(findings: Sequence[Finding], intersample: str, time_unit: str |
         if cause not in _TOGETHER or len(channels) < 2:
             sentences += [sentence_of(finding, intersample, time_unit) for finding in alike]
             continue
-        listed = ", ".join(map(repr, channels[:_LISTED])) + f" and {len(channels) - _LISTED} more" * (
-            len(channels) > _LISTED
-        )
         largest = max(alike, key=_prominence)
-        together = _TOGETHER[cause].format(len(channels), listed)
+        together = _TOGETHER[cause].format(len(channels), first_of([*map(repr, channels)], _LISTED))
         sentences.append(f"{together} {sentence_of(largest, intersample, time_unit)}")
     rest = len(sentences) - _MOST
     return sentences if rest < 2 else [*sentences[:_MOST], f"{rest} more are in findings."]
@@ -449,7 +444,7 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
 
 def far_out(which: str, places: Sequence[str]) -> str:
     """That some values stand out of the noise, and what to do about it."""
-    listed = ", ".join(places[:_LISTED]) + f" and {len(places) - _LISTED} more" * (len(places) > _LISTED)
+    listed = first_of(places, _LISTED)
     return (
         f"{which} far outside the noise (counted from 0): {listed}. If they are measurement errors, mark them with NaN."
     )

@@ -9,7 +9,7 @@ The search begins next to the modes of the free fit, since the loss has many min
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -26,6 +26,7 @@ from ..parameters.pairing import followed, paired
 from ..parameters.physical_modes import PhysicalModes
 from ..parameters.rows import RowsRemainder, energies, of_modes, remainders_of
 from ..regression.free import FreeProjection, GivenResidues, refine_free
+from ..regression.free_prediction import halved
 from ..regression.frequency_rows import FreeResponse
 from ..regression.time_rows import FreeRecord
 from ..search.findings import Cause, Finding
@@ -70,7 +71,7 @@ class ParametricProjection(GivenResidues):
     def __init__(
         self, free: FreeProjection, model: PhysicalModes, layout: ChannelLayout, remainder: Sequence[RowsRemainder]
     ):
-        halves = np.where(model.real, 0.5, 1.0)[:, None, None] * model.residues
+        halves = halved(model.poles, model.residues)
         projection = FreeProjection(free.experiments, model.poles, free.fed)
         shared = layout.joined(halves, model.feedthrough, projection.has_feedthrough)
         super().__init__(projection, shared)
@@ -168,7 +169,7 @@ class _ParametricProblem:
     def _beside_forces(self, model: PhysicalModes) -> list[RowsRemainder]:
         """The distance of poles and residues from those of the free fit, which has all that noise tells of them."""
         joint: Any = self.free.projection
-        quadratic, halves = joint.quadratic, np.where(model.real, 0.5, 1.0)[:, None, None] * model.residues
+        quadratic, halves = joint.quadratic, halved(model.poles, model.residues)
         shared = self.layout.joined(halves, model.feedthrough, joint.has_feedthrough)
         moved = np.concatenate([model.poles.imag, model.poles.real, shared.T.ravel()]) - quadratic.centre
         remainder = []
@@ -213,7 +214,6 @@ class _ParameterPoint:
     problem: _ParametricProblem
     theta: Array
     errors: Array | None = None  # of the parameters, as far as they are known
-    _jacobian: Array | None = field(default=None, repr=False)
 
     @cached_property
     def model(self) -> PhysicalModes:
@@ -543,7 +543,7 @@ def _structured_fit(problem: _ParametricProblem, minimum: _ParameterMinimum) -> 
         function.lower, function.upper, information.hidden, function.calls,
     )  # fmt: skip
     return StructuredFit(
-        PARAMETRIC, PARAMETRIC, model.poles, np.where(model.real, 0.5, 1.0)[:, None, None] * model.residues,
+        PARAMETRIC, PARAMETRIC, model.poles, halved(model.poles, model.residues),
         model.feedthrough, None, None, point.loss - problem.apart, information.rank + own - own_free, free.variance,
         projection, minimum.converged, ParametricPoint(projection.slopes, spread, excess), physical=physical,
     )  # fmt: skip

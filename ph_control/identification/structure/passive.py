@@ -18,9 +18,9 @@ from ..._types import Array, ComplexArray, Indices
 from ...modal.general_form import real_matrices
 from ...modal.positive_real import Passivity
 from ...numerics.least_distance import least_distance
-from ...reduction.worst_frequencies import minima
 from ..regression.free import FreeProjection, GivenResidues
 from .layout import ChannelLayout
+from .worst_frequencies import minima
 
 _INSIDE = 1e-6  # standard errors of a constraint by which it is kept, so that rounding does not break it
 _STEADY = 1e-3  # those of a decay rate by which poles are kept from the axis

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..._display import p_value
+from ..._display import first_of, p_value
 
 if TYPE_CHECKING:
     from .residual_analysis import ResidualAnalysis
@@ -115,5 +115,5 @@ def _of_responses(analysis: ResidualAnalysis) -> list[_Cause]:
 
 
 def _listed(means: Sequence[complex]) -> str:
-    shown = [f"{m.real:.3g}{m.imag:+.3g}i" if isinstance(m, complex) else f"{m:.3g}" for m in means[:4]]
-    return ", ".join(shown) + ", ..." * (len(means) > 4)
+    shown = [f"{m.real:.3g}{m.imag:+.3g}i" if isinstance(m, complex) else f"{m:.3g}" for m in means]
+    return first_of(shown, 4, ", ...")

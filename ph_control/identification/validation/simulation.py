@@ -34,6 +34,7 @@ from ..data.windowed import response_through
 from ..diagnosis.fitted_directions import Directions, directions_of, same_data
 from ..fit.pem_result import PEMResult
 from ..fit.prediction_ahead import ahead, ahead_of_growth, grows, is_simulated
+from ..regression.free_prediction import halved
 
 Kind = Record | FrequencyRecord | Recording | ResponseMatrix
 
@@ -436,7 +437,7 @@ def _through_window(model: Any, system: Any, label: str, record: FrequencyRecord
     window = record.window
     assert window is not None
     if isinstance(model, PEMResult):
-        halves = np.where(model.poles.imag == 0, 0.5, 1.0)[:, None, None] * model.residues
+        halves = halved(model.poles, model.residues)
         return response_through(window, record.omega, model.poles, halves, model.feedthrough)
     hold = Hold(window.step, "exact", "zoh" if window.hold == "bandlimited" else window.hold)
     held = replace(window, hold=hold.intersample)

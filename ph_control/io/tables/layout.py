@@ -31,6 +31,7 @@ _LAYOUTS = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (" ", 
 _SAMPLE = 20  # lines at the begin and at the end that the separator is judged by
 _LINES = 400  # over the file, that its rows are judged by
 _ABOVE = 6  # lines above the rows of numbers, labels and units among them
+_MOST_HEADERS = 3  # of these
 _HEADER_WORD = re.compile(r'"[^"]*"|\S+(?:\s+[\[(][^\])]*[\])])*')
 
 
@@ -140,113 +141,164 @@ def find_layout(
     return Layout(*best, comments)
 
 
+@dataclass(frozen=True)
+class _Words:
+    """A line of words above a table, by columns."""
+
+    line: int
+    words: list[str]
+    letters: str
+    is_comment: bool
+
+    @property
+    def has_numbers(self) -> bool:
+        return "n" in self.letters
+
+    @property
+    def names_time(self) -> bool:
+        return any(map(is_time_label, self.words))
+
+    @property
+    def units(self) -> list[str | None]:
+        """Of each column, empty for none; None for a word that is no unit."""
+        return [_unit(word) for word in self.words]
+
+
+@dataclass(frozen=True)
+class _Header:
+    """Labels with their units, if there are any, and the line from which on all belongs to the table."""
+
+    labels: tuple[str, ...] | None = None
+    below: int | None = None
+
+
+@dataclass(frozen=True)
+class _Text:
+    """Lines of a file, the numbers of those with a content, and how they are laid out."""
+
+    lines: Sequence[str]
+    content: Sequence[int]
+    layout: Layout
+
+    def letters(self, k: int) -> str:
+        """Kinds of the fields of a line with a content; none beyond the last."""
+        return self.layout.kinds(self.lines[self.content[k]]) if k < len(self.content) else ""
+
+    def words(self, k: int) -> list[str]:
+        """A line with a content as one of labels."""
+        return self.layout.words(self.lines[self.content[k]])
+
+    def words_above(self, first: int, width: int) -> list[_Words]:
+        """Lines of words above a line, as many as there are columns, the nearest first."""
+        rows: list[_Words] = []
+        above = (k for k in range(first - 1, -1, -1) if self.lines[k].strip())
+        for k, _ in zip(above, range(_ABOVE), strict=False):
+            words, comment = self.layout.words(self.lines[k]), _is_comment(self.lines[k], self.layout)
+            # an empty label at the end, and a column of remarks that no row has
+            words = words[:-1] if len(words) == width + 1 else words
+            if len(words) != width and self.layout.delimiter == " ":
+                # units in brackets are not those of labels before them
+                words = self.lines[k].split()
+            letters = kinds(words, self.layout.decimal)
+            if len(words) == width and "t" in letters:
+                rows.append(_Words(k, words, letters, comment))
+            elif rows and not comment:
+                break
+        rows = rows[:_MOST_HEADERS]
+        while rows and rows[-1].is_comment:
+            rows.pop()
+        return rows
+
+    def header_above(self, first: int, width: int) -> _Header:
+        """Labels above a line, with the units below them."""
+        rows = self.words_above(first, width)
+        if not rows or rows[0].has_numbers:
+            return _Header()
+        place = _place_of_labels(rows)
+        labels = rows[place].words
+        if place == 0:
+            return _Header(tuple(labels))
+        units = self.units_of(rows[place - 1].units, first)
+        if units is None:
+            # words that are no units stay, to be refused
+            return _Header(tuple(labels), rows[place].line + 1)
+        return _Header(tuple(
+            f"{label} [{unit}]" if label and unit and without_unit(label) == label else label
+            for label, unit in zip(labels, units, strict=True)
+        ))  # fmt: skip
+
+    def units_of(self, units: list[str | None], first: int) -> list[str | None] | None:
+        """Units, if at least half of the words are such, above columns of numbers that begin in a line; else None."""
+        if not any(units) or 2 * sum(map(bool, units)) < sum(unit != "" for unit in units):
+            return None
+        # a column with a unit holds numbers: letters above letters are a row of the table
+        below = filter(str.strip, self.lines[first : first + _SAMPLE])
+        rows = [self.layout.kinds(row) for row in below if not _is_comment(row, self.layout)]
+        seen = [{row[column : column + 1] for row in rows} for column, unit in enumerate(units) if unit]
+        return units if all({"n"} <= letters <= {"n", "m", ""} for letters in seen) else None
+
+
 def find_bodies(lines: Sequence[str], content: Sequence[int], layout: Layout, header: bool | None) -> list[Body]:
-    """Tables in a file, that of the most numbers first."""
+    """Rows of the commonest shapes, that of most numbers first; none where no line has a number."""
+    text = _Text(lines, content, layout)
     step = max(1, len(content) // _LINES)
     places = sorted({*range(0, len(content), step), *range(min(_SAMPLE, len(content)))})
-    rows = [kind for kind in (layout.kinds(lines[content[k]]) for k in places) if "n" in kind]
+    rows = [kind for kind in map(text.letters, places) if "n" in kind]
     numbers: Counter[_Shape] = Counter()
     for kind in rows:
         numbers[_Shape(len(kind), tuple(j for j, letter in enumerate(kind) if letter != "t"))] += kind.count("n")
-    bodies = (_body(lines, content, layout, shape, header) for shape, _ in numbers.most_common(4))
+    bodies = (_body(text, shape, header) for shape, _ in numbers.most_common(4))
     return [body for body in bodies if body]
 
 
-def _body(
-    lines: Sequence[str], content: Sequence[int], layout: Layout, shape: _Shape, header: bool | None
-) -> Body | None:
+def _body(text: _Text, shape: _Shape, header: bool | None) -> Body | None:
     """Rows of one shape, from the first to the last, and their labels."""
-
-    def letters(k: int) -> str:
-        return layout.kinds(lines[content[k]])
-
-    first = next((k for k in range(len(content)) if shape.fits(letters(k))), None)
+    count, width, layout = len(text.content), shape.width, text.layout
+    first = next((k for k in range(count) if shape.fits(text.letters(k))), None)
     if first is None:
         return None
-    last = next(k for k in reversed(range(len(content))) if shape.fits(letters(k)))
-    # what begins with words behind the table is left out; a row that is cut or wrong is left to be refused
-    stop = len(content)
-    place = shape.numeric[0] if shape.numeric else 0
-    if last + 1 < stop and len(letters(last + 1)) != shape.width and letters(last + 1)[place : place + 1] in ("t", ""):
-        stop = last + 1
+    behind = next(k for k in range(count, 0, -1) if shape.fits(text.letters(k - 1)))
     # a row with numbers of which one is wrong is a row
-    while first and "n" in (above := kinds(layout.words(lines[content[first - 1]]), layout.decimal)):
-        if len(above) != shape.width:
-            break
-        first -= 1
-    top = first
-    while top and _is_row_of_missing(letters(top - 1), shape.width):
-        top -= 1
-    labels, below = (None, None) if header is False else _labels_above(lines, content[top], layout, shape.width)
-    if labels is None and top:
-        labels, below = (None, None) if header is False else _labels_above(lines, content[first], layout, shape.width)
+    first = _upward(first, lambda k: len(text.words(k)) == width and "n" in kinds(text.words(k), layout.decimal))
+    top = _upward(first, lambda k: _is_row_of_missing(text.letters(k), width))
+    headed = _Header() if header is False else text.header_above(text.content[top], width)
+    if headed.labels is None and top:
+        headed = _Header() if header is False else text.header_above(text.content[first], width)
         top = first
-    while labels is not None and top and below is not None and content[top - 1] >= below:
-        top -= 1
-    rows = list(content[top:stop])
+    if headed.below is not None:
+        below = headed.below
+        top = _upward(top, lambda k: text.content[k] >= below)
+    labels = headed.labels
     if labels is None and header is not False and top == 1:
         # a single line above numbers whose fields are others in number, or in quotes that are left open
-        headline = layout.words(lines[content[0]])
-        if len(headline) > 1 or lines[content[0]].count('"') % 2:
-            labels = tuple(headline)
-    return Body(rows, labels)
+        headline = text.words(0)
+        labels = tuple(headline) if len(headline) > 1 or text.lines[text.content[0]].count('"') % 2 else None
+    # what begins with words behind the table is left out; a row that is cut or wrong is left to be refused
+    after, place = text.letters(behind), shape.numeric[0] if shape.numeric else 0
+    stop = behind if len(after) != width and after[place : place + 1] in ("t", "") else count
+    return Body(list(text.content[top:stop]), labels)
+
+
+def _upward(k: int, belongs: Callable[[int], bool]) -> int:
+    """Go up from a line as long as the one above belongs to it."""
+    while k and belongs(k - 1):
+        k -= 1
+    return k
 
 
 def _is_row_of_missing(letters: str, width: int) -> bool:
     return set(letters) == {"m"} and len(letters) in (width, width + 1)
 
 
-def _labels_above(
-    lines: Sequence[str], first: int, layout: Layout, width: int
-) -> tuple[tuple[str, ...] | None, int | None]:
-    """Labels above the first row, with the units below them; and the line from which on all belongs to the table."""
-    rows: list[tuple[int, list[str], str]] = []  # lines of words, the nearest first
-    above = (k for k in range(first - 1, -1, -1) if lines[k].strip())
-    for k, _ in zip(above, range(_ABOVE), strict=False):
-        words = layout.words(lines[k])
-        # an empty label at the end, and a column of remarks that no row has
-        words = words[:-1] if len(words) == width + 1 else words
-        if len(words) != width and layout.delimiter == " ":
-            # units in brackets are not those of labels before them
-            words = lines[k].split()
-        letters = kinds(words, layout.decimal)
-        if len(words) == width and "t" in letters:
-            rows.append((k, words, letters))
-        elif rows and not _is_comment(lines[k], layout):
-            break
-    rows = rows[:3]
-    while rows and _is_comment(lines[rows[-1][0]], layout):
-        rows.pop()
-    if not rows or "n" in rows[0][2]:
-        return None, None
-    place = _place_of_labels(rows)
-    number, labels, _ = rows[place]
-    units = (
-        _units(rows[place - 1][1], [lines[k] for k in range(first, min(first + _SAMPLE, len(lines)))], layout)
-        if place
-        else None
-    )
-    if place and units is None:
-        # words that are no units stay, to be refused
-        return tuple(labels), number + 1
-    joined = labels if units is None else [
-        f"{label} [{unit}]" if label and unit and without_unit(label) == label else label
-        for label, unit in zip(labels, units, strict=True)
-    ]  # fmt: skip
-    return tuple(joined), None
-
-
-def _place_of_labels(rows: Sequence[tuple[int, list[str], str]]) -> int:
+def _place_of_labels(rows: Sequence[_Words]) -> int:
     """Which of the lines of words above a table, the nearest first, holds the labels."""
     if len(rows) > 1:
-        nearest, above = ([_unit(word) for word in words] for _, words, _ in rows[:2])
-        labelled = 0 if any(map(is_time_label, rows[0][1])) else sum(map(bool, nearest))
-        if None not in nearest or (
-            labelled and 2 * labelled >= sum(unit != "" for unit in nearest) and labelled > sum(map(bool, above))
-        ):
+        nearest, above = rows[0].units, rows[1].units
+        units = 0 if rows[0].names_time else sum(map(bool, nearest))
+        mostly = 2 * units >= sum(unit != "" for unit in nearest) and units > sum(map(bool, above))
+        if None not in nearest or (units and mostly):
             return 1
-    known = (k for k, (_, words, letters) in enumerate(rows) if "n" not in letters and any(map(is_time_label, words)))
-    return next(known, 0)
+    return next((k for k, row in enumerate(rows) if row.names_time and not row.has_numbers), 0)
 
 
 def _unit(word: str) -> str | None:
@@ -256,20 +308,6 @@ def _unit(word: str) -> str | None:
     spellings = [text, text.lower()] if text.isalpha() and len(text) > 2 else [text]
     known = not text or (len(text) <= 30 and any(map(UNIT.fullmatch, spellings)))
     return text if known or known_unit(text) else None
-
-
-def _units(words: Sequence[str], below: Sequence[str], layout: Layout) -> list[str] | None:
-    """Units of the columns if at least half of the words are such, above columns of numbers; else None."""
-    units = [_unit(word) for word in words]
-    known = [unit for unit in units if unit]
-    if not known or 2 * len(known) < sum(unit != "" for unit in units):
-        return None
-    # a column with a unit holds numbers: letters above letters are a row of the table
-    rows = [layout.kinds(row) for row in below if row.strip() and not _is_comment(row, layout)]
-    seen = [{row[column : column + 1] for row in rows} for column in range(len(units))]
-    if not all({"n"} <= letters <= {"n", "m", ""} for letters, unit in zip(seen, units, strict=True) if unit):
-        return None
-    return [unit or "" for unit in units]
 
 
 def _is_comment(line: str, layout: Layout) -> bool:

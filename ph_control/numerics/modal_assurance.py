@@ -1,4 +1,4 @@
-"""Numbers that compare mode shapes: modal assurance, phase collinearity, alignment, and poles stable over orders."""
+"""Comparison of mode shapes: modal assurance (MAC), phase collinearity (MPC), and poles stable over orders."""
 
 from __future__ import annotations
 

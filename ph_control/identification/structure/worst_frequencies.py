@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .._types import Array, ComplexArray
+from ..._types import Array, ComplexArray
+from ...modal.positive_real import lowest_places
 
 _NEAR = 57  # points about each pole
 _ZOOMS = 4  # towards a minimum between three points, to a hundredth of their distance squared
@@ -16,7 +17,7 @@ def minima(least: Callable[[Array], Array], poles: ComplexArray) -> list[float]:
     """Local minima between 0 and infinity of `least`, a function of frequencies (K,) that varies as its poles do."""
     grid = _grid(poles)
     values = least(grid)
-    inner = 1 + np.flatnonzero((values[1:-1] <= values[:-2]) & (values[1:-1] <= values[2:]))
+    inner = lowest_places(values)
     if not len(inner):
         return []
     low, high = grid[inner - 1], grid[inner + 1]

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import ph_control as phc
 from ph_control.identification.estimates.scaled_shapes import ModeShapes, shape_jacobian
-from ph_control.numerics.mode_shapes import Stability, aligned_shapes, mac, phase_collinearity, stable_poles
+from ph_control.numerics.modal_assurance import Stability, aligned_shapes, mac, phase_collinearity, stable_poles
 
 EPS = np.finfo(float).eps
 quick = settings(deadline=None, max_examples=13, derandomize=True)
