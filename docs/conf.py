@@ -76,6 +76,7 @@ sphinx_gallery_conf = {
     "capture_repr": (),
     "show_signature": False,
     "write_computation_times": False,
+    "parallel": 2,  # examples at a time
     "remove_config_comments": True,
     "thumbnail_size": (800, 560),
 }
