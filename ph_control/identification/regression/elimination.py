@@ -83,7 +83,7 @@ def orthogonal(columns: Array, samples: int = 0) -> tuple[Array, Array]:
         return basis, solve
     lengths = column_lengths(columns)
     Q, R = np.linalg.qr(columns / lengths)
-    if R.shape[0] == R.shape[1]:
+    if R.size and R.shape[0] == R.shape[1]:
         direct, singular = lapack.dtrtri(R)
         if not singular and np.abs(direct).max(initial=0.0) < _WELL_CONDITIONED:
             return Q, direct / lengths[:, None]
