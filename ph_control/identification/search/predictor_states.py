@@ -54,10 +54,10 @@ def products_of_past(signals: Sequence[Array], horizon: int) -> Array:
             blocks = blocks[:, :-1] + np.einsum("a,sb->asb", first, more[k - 1 :])
             blocks -= np.einsum("a,sb->asb", last, less[k - 1 :])
             S[k, :, k:] += blocks
-    S = S.reshape(count * q, count * q)
-    lower = np.tril_indices(len(S), -1)
-    S[lower] = S.T[lower]
-    return S / sum(x.shape[1] - horizon for x in signals)
+    products = S.reshape(count * q, count * q)
+    lower = np.tril_indices(len(products), -1)
+    products[lower] = products.T[lower]
+    return np.asarray(products / sum(x.shape[1] - horizon for x in signals))
 
 
 @dataclass(frozen=True, eq=False)
