@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from slow import slowly
 
 import ph_control as phc
@@ -246,3 +247,13 @@ def test_a_drift_beside_one_mode_that_starts_at_rest_is_no_motion_of_the_mode():
     np.testing.assert_allclose(result.d, 1.3, atol=4 * result.stderr["d"][0])
     left = result.residuals - result.residuals.mean()
     assert np.std(left) < 0.022
+
+
+def test_a_disturbance_that_grows_is_no_mode_of_the_plant(capfd):
+    rng, t = np.random.default_rng(1), np.arange(300)
+    u, z = rng.standard_normal(300), np.exp(0.2 * (-0.02 + 1j))
+    y = 2 * lfilter([0, (z - 1) / (-0.02 + 1j)], [1, -z], 0.5 * u + 0j).real
+    y = y + 0.15 * np.std(y) * np.exp((t - 300) / 80) * np.cos(0.9 * t)
+    result = phc.pem((u, y + 0.05 * np.std(y) * rng.standard_normal(300)), dt=0.2, intersample="zoh", quantity="free")
+    np.testing.assert_allclose(result.poles, [-0.02 + 1j], atol=0.01)
+    assert capfd.readouterr() == ("", ""), "libraries have nothing to say"

@@ -95,6 +95,14 @@ def test_modes_that_inputs_drive_are_no_hum():
     assert result.order == 3 and not hums(result)
 
 
+def test_a_mode_of_noise_beyond_those_there_are_is_no_hum():
+    plant, rng = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25])), np.random.default_rng(1)
+    t, u = 0.1 * np.arange(1000), rng.standard_normal(1000)
+    y = phc.forced_response(plant, t, u, intersample="zoh").outputs + 0.05 * rng.standard_normal(1000)
+    result = phc.pem((u, y), 3, dt=0.1, intersample="zoh", structure="lossless")
+    assert result.order == 3 and not result.findings
+
+
 @pytest.mark.slow
 def test_files_and_resamples_keep_hum(tmp_path):
     result = phc.pem(humming(7, 0.2, 4.0), dt=STEP)

@@ -222,7 +222,7 @@ def test_an_interrupted_fit_of_one_output_gives_damped_modes_as_soon_as_there_ar
     u, y = u[0], PLANT.velocities(np.stack([u[0], 0 * u[0]]))[2] + 0.02 * np.random.default_rng(0).standard_normal(600)
 
     def stop(progress):
-        orders.append(progress.order)
+        orders.extend([progress.order] * (progress.stage == "search"))  # signs of life are a matter of time
         if len(orders) > allowed:
             raise StopIteration
 

@@ -3,6 +3,7 @@
 import control as ct
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from slow import slowly
 
 import ph_control as phc
@@ -271,3 +272,13 @@ def test_a_pair_of_real_poles_does_not_become_more_modes_than_the_largest_order(
     y = ct.forced_response(ct.c2d(ct.ss(plant), 0.1), 0.1 * np.arange(600), u).outputs
     result = phc.pem((u, y + 0.1 * y.std() * rng.standard_normal(600)), dt=0.1, max_order=1)
     assert result.order == 1 and result.outcome.name == "CONSISTENT"
+
+
+def test_what_is_fed_through_stands_out_of_its_error():
+    rng = np.random.default_rng(1)
+    u, noise, z = rng.standard_normal(300), 0.1 * rng.standard_normal(300), np.exp(-0.2)
+    y = lfilter([0, 1 - z], [1, -z], u) + noise
+    options = {"dt": 0.1, "real_poles": 1, "intersample": "zoh", "quantity": "free"}
+    # true values of 0 and of 5 standard errors, whose estimates are 2 and 7 of them
+    assert phc.pem((u, y), 0, **options).feedthrough == 0
+    np.testing.assert_allclose(phc.pem((u, y + 0.03 * u), 0, **options).feedthrough, 0.03, atol=0.012)

@@ -86,7 +86,10 @@ def _waves(frequencies: Array, t: Array) -> Array:
 
 
 def undriven(fit: FreeFit) -> Indices:
-    """Modes that neither decay nor answer to any input: tones that were there in any case."""
+    """Modes that neither decay nor answer to any input: tones that were there in any case.
+
+    Noise shows modes as faint anywhere when more of them are asked for than there are: these are no tones.
+    """
     projection, n = fit.projection, len(fit.projection.p)
     rows = [record for record in projection.experiments if isinstance(record, FreeRecord)]
     if _unfit(fit):
@@ -97,12 +100,15 @@ def undriven(fit: FreeFit) -> Indices:
         1.0 / max(record.length * record.hold.h for record in rows),
     )
     slowest, tones = TUNING.broad_noise * max(record.bin for record in rows), []
+    bins, seen_by = max(record.length for record in rows) // 2, sum(len(record.outputs) for record in rows)
+    faint = float(chi2.isf(_LINE / bins, 2 * seen_by)) * projection.loss / projection.rows
     for l in np.flatnonzero((projection.p.imag > slowest) & (np.abs(projection.p.real) < still)).tolist():
         first = np.arange(projection.inputs)[:, None] * (width // projection.inputs) + np.array([l, n + l])
         places = (2 * n + np.arange(projection.shared.shape[1])[:, None] * width + first.ravel()).ravel()
         residues = projection.shared[first.ravel()].T.ravel()
         seen = np.linalg.pinv(covariance[np.ix_(places, places)], hermitian=True)
-        if chi2.sf(residues @ seen @ residues, len(places)) > _UNDRIVEN:
+        is_driven = chi2.sf(residues @ seen @ residues, len(places)) <= _UNDRIVEN
+        if not is_driven and projection.without_mode(l).loss - projection.loss > faint:
             tones.append(l)
     return np.array(tones, int)
 

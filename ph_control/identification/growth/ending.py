@@ -92,13 +92,18 @@ def finished(
     projection, losses = settled(path, model.p, None, near)
     while automatic and (weakest := needless_mode(path, projection)) is not None:
         projection, losses = settled(path, np.delete(projection.p, weakest), None, near)
+    near = float(_DECIDED / path.counts.sum()) if refined else None
     fed: Mask | None = None
     if projection.has_feedthrough and not path.felt.all():
         fed = path.felt | fed_through(path, projection)
-        if not fed.all():
-            projection, losses = settled(path, projection.p, fed, near, projection)
     # noise of slow colour hides a constant that is still the level of the output
-    if path.options.constant_open and not (interrupted or model.innovations):
+    constant_open = path.options.constant_open and not (interrupted or model.innovations)
+    level = constant_open and evidence_of_constants(projection) < _least_of_constants(path, projection)
+    if level:
+        path.drop_constants(losses)
+    if level or (fed is not None and not fed.all()):
+        projection, losses = settled(path, projection.p, fed, near, None if level else projection)
+    if constant_open and not level:
         projection, losses = _without_needless_constants(path, projection, losses, fed, near)
     projection, losses = on_simplest_background(path, projection, losses, fed, near)
     if refined:
@@ -116,23 +121,26 @@ def finished(
     )  # fmt: skip
 
 
+def _least_of_constants(path: FreePath, projection: FreeProjection) -> float:
+    """Return the square, in variances of the noise, from which on constants of outputs stand out."""
+    constants = sum(len(rows.outputs) for rows in path.search.data)
+    return float(max(2 * TUNING.likely, constants * np.log(projection.rows)))
+
+
 def _without_needless_constants(
     path: FreePath, projection: FreeProjection, losses: Array, fed: Mask | None, rtol: float | None
 ) -> tuple[FreeProjection, Array]:
-    """Find the minimum without constants of the outputs, unless these stand out, and the losses of outputs.
+    """Find the minimum without constants of the outputs where their own errors say nothing, and they explain little.
 
-    Beside an integrator, or what is nearly one, a constant is the same as its initial state, and its own error says
-    nothing: what it explains is seen without it.
+    Beside an integrator, or what is nearly one, a constant is the same as its initial state: what it explains is seen
+    without it.
     """
-    constants = sum(len(rows.outputs) for rows in path.search.data)
-    least = max(2 * TUNING.likely, constants * np.log(projection.rows))
-    weak = evidence_of_constants(projection) < least
-    if not weak and not np.any(np.abs(projection.p) < path.scaled.region.bin):
+    if not np.any(np.abs(projection.p) < path.scaled.region.bin):
         return projection, losses
     kept = path.plain, path.search
     path.drop_constants(losses)
     level, level_losses = settled(path, projection.p, fed, rtol)
-    if weak or 2 * (path.loglik(losses) - path.loglik(level_losses)) < least:
+    if 2 * (path.loglik(losses) - path.loglik(level_losses)) < _least_of_constants(path, projection):
         return level, level_losses
     path.plain, path.search = kept
     path.weigh(losses)

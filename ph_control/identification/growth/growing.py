@@ -42,9 +42,14 @@ def grown(path: FreePath, start: ComplexArray, most: int, automatic: bool,
 
 
 def _joined(path: FreePath, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
-    """Let a mode join, or several, or a real pole: what the criterion prefers."""
-    more = with_modes(path, model, most, automatic) if count_modes(model.p) < most else None
+    """Let a mode join, or several, or a real pole: what the criterion prefers.
+
+    Beside a real pole that leaves white noise no mode is looked for.
+    """
     lag = _with_lag(path, model, most)
+    if lag is not None and automatic and path.is_white(lag):
+        return lag
+    more = with_modes(path, model, most, automatic) if count_modes(model.p) < most else None
     if lag is not None and more is not None:
         return lag if path.cost(lag) <= path.cost(more) else more
     if more is None and automatic and candidates(path, model)[1].any():

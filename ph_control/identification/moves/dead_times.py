@@ -104,10 +104,20 @@ class DeadTimeScan:
 
     @cached_property
     def _plain(self) -> _DeadTimeProblem:
-        return self._in_noise(())
+        return _DeadTimeProblem(self.most, self.each, _groups(self, ()))
+
+    @cached_property
+    def _coloured(self) -> dict[tuple[bytes, ...], _DeadTimeProblem]:
+        """Problems in the noise of filters that were looked at."""
+        return {}
 
     def _in_noise(self, noise: tuple[Array, ...]) -> _DeadTimeProblem:
-        return _DeadTimeProblem(self.most, self.each, _groups(self, noise))
+        if all(len(coefficients) == 1 for coefficients in noise):
+            return self._plain
+        key = tuple(coefficients.tobytes() for coefficients in noise)
+        if key not in self._coloured:
+            self._coloured[key] = _DeadTimeProblem(self.most, self.each, _groups(self, noise))
+        return self._coloured[key]
 
     def columns(self, rows: FreeRecord) -> tuple[Array, Array, Array]:
         """Outputs (q, T), columns (k, T) of the free motion and the constants, and (m, k, T) of inputs from rest."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -25,6 +25,7 @@ _SCANS = 3  # searches with the delays that the last one says
 LONGEST_DELAY = 24  # samples
 _SLOWER = (1.15, 1.3)  # than the slowest of several lags that stand for one that comes late
 _LAGS = 4  # of different rates, with which delays are looked for
+_TOGETHER = 64  # outputs of a record, about: products of more of them with one another cost more than they spare
 
 
 def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
@@ -80,29 +81,25 @@ def _likely_delays(fit: FreeFit) -> list[Array]:
     if not fit.projection.inputs or not fit.states or isinstance(fit.channels[0], ResponseMatrix):
         return []
     some = [cut(recording, slice(0, min(recording.samples, _DELAYS_FROM))) for recording in fit.channels]
-    step, count = some[0].dt, len(fit.scales)
+    step, count, p = some[0].dt, len(fit.scales), fit.projection.p
     records = [
         replace(record, y=record.y / fit.scales[record.outputs, None])
         for record in rows_as_in(fit, some, True, _undelayed(fit))
     ]
-
-    def late(samples: int, p: ComplexArray = fit.projection.p) -> FreeProjection:
-        return FreeProjection([record.delayed(samples * step) for record in records], p)
+    delayed = _Delayed.of(records, TUNING.delays, count)
+    if delayed.rows <= 2 * fit.projection.unknowns:
+        return []
 
     def of_all(samples: list[int]) -> list[Array]:
         return [np.full(count, step * lag) for lag in samples]
 
-    mimicked = _mimicked_delays(late, fit.projection.p)
+    mimicked = _mimicked_delays(delayed, p)
     if mimicked:
         return of_all(mimicked)
-    if not leaves_traces(late(0)):
+    if not leaves_traces(FreeProjection(records, p)):
         return []
-    gains, each = {}, {}
-    for delay in (0, *TUNING.delays):
-        projection = late(delay)
-        if projection.rows > 2 * projection.unknowns or not delay:
-            gains[delay] = -0.5 * fit.projection.rows * float(np.log(projection.loss / projection.rows))
-            each[delay] = projection.losses / projection.rows
+    each = dict(zip(TUNING.delays, delayed.losses(p)[0] / delayed.rows, strict=True))
+    gains = {delay: -0.5 * fit.projection.rows * float(np.log(loss.sum())) for delay, loss in each.items()}
     if fit.noise:  # what takes the place of a delay
         best = max(gains, key=lambda delay: gains[delay])
         return of_all([best] if best else [])
@@ -116,27 +113,76 @@ def _likely_delays(fit: FreeFit) -> list[Array]:
     return [*common_delays, step * own] if np.ptp(own) else common_delays
 
 
-def _mimicked_delays(late: Callable[[int, ComplexArray], FreeProjection], p: ComplexArray) -> list[int]:
+@dataclass(frozen=True)
+class _Delayed:
+    """Records in which outputs without a delay are seen with each of several delays, in `rows` equations a delay.
+
+    A delay of whole samples shifts what inputs cause, or outputs the other way: so all delays share the columns of some
+    poles, and each is one more set of outputs.
+    """
+
+    parts: Sequence[Sequence[FreeRecord]]
+    outputs: int
+    rows: int
+
+    @classmethod
+    def of(cls, records: Sequence[FreeRecord], delays: Sequence[int], outputs: int) -> _Delayed:
+        """See all outputs of records, so many of them, with each of some delays in samples."""
+        together, ends = max(1, _TOGETHER // outputs), (-min(0, *delays), max(0, *delays))
+        some = [delays[k : k + together] for k in range(0, len(delays), together)]
+        lasting = [record for record in records if record.length > sum(ends)]
+        parts = [[rows for record in lasting for rows in _seen_with(record, each, ends, outputs)] for each in some]
+        rows = sum(rows.samples * len(rows.outputs) for part in parts for rows in part)
+        return cls(parts, outputs, rows // len(delays))
+
+    def losses(self, p: ComplexArray) -> tuple[Array, int]:
+        """Return squares (delays, outputs) that poles leave, and the unknowns of poles with one of the delays."""
+        projections = [FreeProjection(rows, p) for rows in self.parts]
+        losses = np.concatenate([projection.losses for projection in projections]).reshape(-1, self.outputs)
+        poles = len(projections[0].x)
+        linear = sum(projection.unknowns - poles for projection in projections)
+        return losses, poles + linear // len(losses)
+
+
+def _seen_with(record: FreeRecord, delays: Sequence[int], ends: tuple[int, int], outputs: int) -> list[FreeRecord]:
+    """Return a record with its outputs as they are after some delays, of those that end samples leave to all."""
+    first, last = ends[0], record.length - ends[1]
+    shifted = [
+        replace(
+            record, u=record.u[:, first:last], y=record.y[:, first + delay : last + delay],
+            observed=record.observed[first + delay : last + delay], outputs=record.outputs + place * outputs,
+            moving=record.moving or first > 0, whole_record=None,
+            level=None if record.level is None else record.level[first + delay : last + delay],
+        )
+        for place, delay in enumerate(delays)
+    ]  # fmt: skip
+    if not record.complete or record.level is not None:
+        return shifted
+    y, numbers = (np.concatenate([getattr(rows, name) for rows in shifted]) for name in ("y", "outputs"))
+    scale = None if record.scale is None else np.tile(record.scale, len(shifted))
+    return [replace(shifted[0], y=y, outputs=numbers, scale=scale)]
+
+
+def _mimicked_delays(delayed: _Delayed, p: ComplexArray) -> list[int]:
     """Return samples of the delays that fast lags and heavily damped modes stand for, the likeliest first."""
 
-    def bic(samples: int, p: ComplexArray) -> float:
-        projection = late(samples, p)
-        rows = projection.rows
-        return float(rows * np.log(projection.loss / rows) + projection.unknowns * np.log(rows)) / rows
+    def bic(p: ComplexArray) -> Array:
+        losses, unknowns = delayed.losses(p)
+        return np.asarray(np.log(losses.sum(axis=1)) + unknowns * np.log(delayed.rows) / delayed.rows)
 
     lags = np.sort(p[p.imag == 0])[::-1]  # the slowest first
     light = p[(-p.real < MIMICS * np.abs(p)) & (p.imag != 0)]
     kept = [np.concatenate([light, lags[:count]]) for count in range(len(lags) + 1)]
     kept += [lags[:1] / slower for slower in _SLOWER if len(lags) == len(p)]
-    values = {
-        (delay, k): bic(delay, some) for k, some in enumerate(kept) if 0 < len(some) < len(p)
-        for delay in TUNING.delays
-    }  # fmt: skip
-    best, count = min(values, key=lambda delay: values[delay], default=(0, 0))
-    if not best or values[best, count] >= bic(0, p):
+    values = [bic(some) for some in kept if 0 < len(some) < len(p)]
+    if not values:
+        return []
+    likeliest = values[int(np.argmin([value.min() for value in values]))]
+    best, none = TUNING.delays[int(np.argmin(likeliest))], TUNING.delays.index(0)
+    if not best or likeliest.min() >= bic(p)[none]:
         return []
     near = ({best - 1, best, best + 1} & set(TUNING.delays)) - {0}  # a sample may be fed through
-    return sorted(near, key=lambda delay: values[delay, count])
+    return sorted(near, key=lambda delay: float(likeliest[TUNING.delays.index(delay)]))
 
 
 def _samples_late(fit: FreeFit) -> int:
@@ -158,16 +204,14 @@ def _scanned_delays(fit: FreeFit) -> set[int]:
     some = [cut(recording, slice(0, min(recording.samples, _DELAYS_FROM))) for recording in channels]
     shortest = min(recording.samples for recording in some)
     most = min(LONGEST_DELAY, shortest // 10)
-    records = rows_as_in(fit, some, True, _undelayed(fit))
+    records = Records(rows_as_in(fit, some, True, _undelayed(fit)))
+    rows = (records.whitened(fit.noise) if fit.noise else records).scaled(1.0 / fit.scales).data
+    delayed = _Delayed.of(rows, range(most + 1), len(fit.scales))
 
     def scanned(p: ComplexArray) -> tuple[float, int]:
         """Return squares that poles leave with the best delay, and this."""
-        losses = []
-        for samples in range(most + 1):
-            late = [row.delayed(samples * row.hold.h, 0.0, most * row.hold.h) for row in records]
-            rows = Records(late).whitened(fit.noise) if fit.noise else Records(late)
-            losses.append(FreeProjection(rows.scaled(1.0 / fit.scales).data, p).loss)
-        return min(losses), int(np.argmin(losses))
+        losses = delayed.losses(p)[0].sum(axis=1)
+        return float(losses.min()), int(np.argmin(losses))
 
     p = fit.projection.p
     rates = [*np.geomspace(20.0 / shortest, 0.5, _LAGS) / channels[0].dt, *-p.real[(p.imag == 0) & (p.real < 0)]]

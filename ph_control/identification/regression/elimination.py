@@ -41,10 +41,18 @@ def eliminate(factor: Array, own: int, samples: int, smallest: float = 0.0) -> E
         return Eliminated(np.zeros((0, 0)), factor[:0], factor)
     corner = factor[:own, :own]
     lengths = column_lengths(corner)
-    direct, singular = lapack.dtrtri(corner / lengths)
+    scaled, there = corner / lengths, np.diag(corner) != 0
+    # columns of nothing, as those of real poles, have rows of nothing as well
+    if np.any(scaled[~there]) or np.any(scaled[:, ~there]):
+        there[:] = True
+    direct, singular = lapack.dtrtri(scaled + np.diag(np.where(there, 0.0, 1.0)))
     if not singular and np.abs(direct).max() < _WELL_CONDITIONED:
-        return Eliminated(direct / lengths[:, None], factor[:own, own:], factor[own:, own:])
-    U, sigma, Vt = np.linalg.svd(corner / lengths)
+        return Eliminated(
+            (direct / lengths[:, None])[:, there],
+            factor[:own, own:][there],
+            np.concatenate([factor[:own, own:][~there], factor[own:, own:]]),
+        )
+    U, sigma, Vt = np.linalg.svd(scaled)
     kept = sigma > max(smallest, tolerance(samples, own)) * sigma.max(initial=0.0)
     above = U.T @ factor[:own, own:]
     inverse = (Vt[kept].T / sigma[kept]) / lengths[:, None]
@@ -67,8 +75,18 @@ def orthogonal(columns: Array, samples: int = 0) -> tuple[Array, Array]:
 
     Directions that are rounding of so many samples, or of m, are left out.
     """
+    there = columns.any(axis=0)
+    if not there.all():
+        basis, inner = orthogonal(columns[:, there], samples)
+        solve = np.zeros((columns.shape[1], basis.shape[1]))
+        solve[there] = inner
+        return basis, solve
     lengths = column_lengths(columns)
     Q, R = np.linalg.qr(columns / lengths)
+    if R.size and R.shape[0] == R.shape[1]:
+        direct, singular = lapack.dtrtri(R)
+        if not singular and np.abs(direct).max(initial=0.0) < _WELL_CONDITIONED:
+            return Q, direct / lengths[:, None]
     U, s, Vt = np.linalg.svd(R)
     kept = s > tolerance(max(samples, len(columns)), columns.shape[1]) * s.max(initial=0.0)
     return Q @ U[:, : len(s)][:, kept], (Vt[: len(s)][kept].T / s[kept]) / lengths[:, None]

@@ -29,6 +29,7 @@ QUANTITIES = tuple(quantity for quantity in DERIVATIVES if quantity != "free")
 
 SHORT = 32  # samples in a group
 
+_LASTING = 300.0  # logarithm of what modes lose over a piece of a record: the square is still in the range of doubles
 _DEAD = 1e-200  # of the largest state: what has died away must not leave the range of doubles, where all is slow
 
 
@@ -213,10 +214,15 @@ class Kernel:
         """
         total = np.empty_like(turns)
         total[:, 0] = start
-        if (self.modes.growth >= 0).all():
+        lasting = self.modes.growth * (SHORT * push.shape[1]) > -_LASTING
+        if lasting.all():
             np.multiply(push, 1.0 / turns[:, 1:], out=total[:, 1:])
             return turns * np.cumsum(total, axis=1)
-        for k, leap in enumerate(self._powers[:, SHORT]):
+        some = turns[lasting]
+        total[lasting, 1:] = push[lasting] / some[:, 1:]
+        total[lasting] = some * np.cumsum(total[lasting], axis=1)
+        for k in np.flatnonzero(~lasting).tolist():
+            leap = self._powers[k, SHORT]
             total[k, 1:], _ = lfilter([1.0], [1.0, -leap], push[k], zi=[leap * start[k]])
         total[np.abs(total) < _DEAD * np.abs(total).max(initial=0.0)] = 0.0
         return total
@@ -230,10 +236,10 @@ class Kernel:
                 [part for amplitude in amplitudes for part in ([amplitude.real], [amplitude.imag])]
             )
             if within is None:
-                np.matmul(np.moveaxis(weights, 0, 2), motion, out=here)
+                np.matmul(weights.transpose(1, 2, 0), motion, out=here)
             else:
                 np.matmul(groups, within, out=here)
-                here += np.matmul(np.moveaxis(weights, 0, 2), motion)
+                here += np.matmul(weights.transpose(1, 2, 0), motion)
 
 
 def _response(now: ComplexArray, later: ComplexArray, ahead: ComplexArray | None, pair: bool) -> NDArray[Any]:

@@ -66,7 +66,7 @@ def _by_gram(gram: Array, guess: Array | None) -> tuple[Array, bool]:
             factor = factor + np.diag(np.where(np.abs(diagonal) < EPS, EPS, 0.0))
         failed = True
     trusted = not failed and float(np.abs(np.diag(factor)).min(initial=1.0)) >= _WELL_CONDITIONED
-    upper = np.triu(factor) * lengths
+    upper = factor * lengths
     upper = upper if guess is None else upper @ guess
     if trusted:
         upper[empty, empty] = 0.0

@@ -44,19 +44,20 @@ def products_of_past(signals: Sequence[Array], horizon: int) -> Array:
     q, count = len(signals[0]), horizon + 1
     S = np.zeros((count, q, count, q))
     for x in signals:
-        R, T = cross_correlations(x, horizon), x.shape[1]
-        for k in range(count):
-            # products at lag k, summed from the first sample on, and from the last one back
-            head = np.einsum("as,bs->sab", x[:, k:horizon], x[:, : horizon - k])
-            tail = np.einsum("as,bs->sab", x[:, T - horizon + k :], x[:, T - horizon : T - k])[::-1]
-            none = np.zeros((1, q, q))
-            head, tail = (np.concatenate([none, np.cumsum(part, axis=0)]) for part in (head, tail))
-            i = np.arange(count - k)
-            blocks = R[k] - head[horizon - k - i] - tail[i]
-            S[i, :, i + k] += blocks
-            if k:
-                S[i + k, :, i] += blocks.transpose(0, 2, 1)
-    return S.reshape(count * q, count * q) / sum(x.shape[1] - horizon for x in signals)
+        # of the present samples; a sample earlier each sum has one product more at its beginning, one less at its end
+        head = cross_correlations(x[:, :horizon], horizon)
+        blocks = (cross_correlations(x, horizon) - head).transpose(1, 0, 2)
+        S[0] += blocks
+        more, less = (np.ascontiguousarray(part[:, ::-1].T) for part in (x[:, :horizon], x[:, -horizon:]))
+        for k in range(1, count):
+            first, last = more[k - 1], less[k - 1]
+            blocks = blocks[:, :-1] + np.einsum("a,sb->asb", first, more[k - 1 :])
+            blocks -= np.einsum("a,sb->asb", last, less[k - 1 :])
+            S[k, :, k:] += blocks
+    products = S.reshape(count * q, count * q)
+    lower = np.tril_indices(len(products), -1)
+    products[lower] = products.T[lower]
+    return np.asarray(products / sum(x.shape[1] - horizon for x in signals))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,11 +134,10 @@ class PredictorStates:
         """Logarithms (r p + 1,) of determinants of the covariances of prediction errors with 0, 1, .. states."""
         p, inputs = self.outputs, self.inputs
         rows = self._root[-p:]
-        error, logarithms = rows[:, -p:] @ rows[:, -p:].T, []
-        for column in rows[:, inputs:-p].T[::-1]:
-            logarithms.append(np.linalg.slogdet(error)[1])
-            error = error + np.outer(column, column)
-        return np.array([*logarithms, np.linalg.slogdet(error)[1]][::-1])
+        columns = rows[:, inputs:-p].T[::-1]
+        least = rows[:, -p:] @ rows[:, -p:].T
+        explained = np.concatenate([np.zeros((1, p, p)), np.cumsum(columns[:, :, None] * columns[:, None], axis=0)])
+        return np.asarray(np.linalg.slogdet(least + explained)[1][::-1])
 
     def feeds_through(self, states: int, samples: int) -> bool:
         """Return whether present inputs foretell more than chance beside so many states, in so many samples."""

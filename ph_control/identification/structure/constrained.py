@@ -395,6 +395,15 @@ class Approach:
         return replace(self, refinement=end)
 
     @property
+    def share_ahead(self) -> float:
+        """Share of the loss that is left a step of Gauss and Newton ahead, to first order."""
+        end = self.refinement.projection
+        curvature = np.diag(end.gram)
+        root = np.sqrt(np.where(curvature > 0, curvature, 1.0))
+        inverse = np.linalg.pinv(end.gram / np.outer(root, root), rcond=len(root) * EPS, hermitian=True)
+        return 1.0 - float(end.gradient / root @ inverse @ (end.gradient / root)) / max(end.loss, np.finfo(float).tiny)
+
+    @property
     def fit(self) -> StructuredFit:
         """The model that it has come to."""
         coordinates, start, end = self.problem.coordinates, self.problem.start, self.refinement.projection

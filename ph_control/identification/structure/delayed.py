@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import argrelmin
 
+from ..._checks import EPS
 from ..._types import Array, Indices, Mask
 from ..._units import DERIVATIVES
 from ..regression.free import Delays, FreeProjection, FreeRows
@@ -25,7 +26,7 @@ _EXPLAINED = 0.5  # of what residues have beside a structure: delays that explai
 _STARTS = 2  # common delays that are tried
 _MARGIN = 1.5  # samples by which a search may go beyond where it began
 _BROAD = 0.2  # damping ratio from which on modes may stand for a delay
-_ITERATIONS = 12  # of those that are compared
+_ITERATIONS = 12  # of the most promising start
 _FAR = 10.0  # times what free residues leave: from there no way leads to what they leave
 
 
@@ -96,12 +97,12 @@ def with_delays(
             for mask in through if projection.has_feedthrough else [None]:
                 start = FreeProjection(delayed, p, mask)
                 beginning = Approach.towards(start, layout, hypothesis, region.about(start.sections), bounded)
-                approach = beginning.at_most(_ITERATIONS)
-                if (cost := cost_of(approach.fit, layout.scales)) < least:
-                    best, least = (approach, mask), cost
+                cost = cost_of(beginning.fit, layout.scales) + np.log(max(beginning.share_ahead, EPS))
+                if cost < least:
+                    best, least = (beginning, mask), cost
     if best is None:
         return None
-    approach, mask = best
+    approach, mask = best[0].at_most(_ITERATIONS), best[1]
     known = approach.fit
     far = known.loss / known.projection.rows > _FAR * projection.loss / projection.rows
     if far and not (settled or known.converged):
