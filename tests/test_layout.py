@@ -41,7 +41,7 @@ TESTS = Path(__file__).resolve().parent
 # tests of numerics, each of which imports what it tests
 NUMERICS = {
     "test_coefficients", "test_coordinates", "test_discretization", "test_general_form", "test_graphs",
-    "test_innovations", "test_margins", "test_modal_assurance", "test_predictor_states",
+    "test_innovations", "test_lapack", "test_margins", "test_modal_assurance", "test_predictor_states",
     "test_propagation", "test_reachability", "test_reactance", "test_realization", "test_reduction",
     "test_regressors", "test_residuals", "test_samples", "test_shared_poles", "test_solver", "test_spectrum",
     "test_structures", "test_symplectic", "test_triangle", "test_twofloat", "test_uncertainty",

@@ -11,8 +11,8 @@ from scipy.linalg import block_diag
 import ph_control as phc
 from ph_control.numerics import definiteness as _definite
 from ph_control.symplectic import skew_tridiagonal as reduction
-from ph_control.symplectic.forms_and_williamson import energy_coordinates
-from ph_control.symplectic.skew_tridiagonal import reduce_block
+from ph_control.symplectic.forms_and_williamson import energy_coordinates, port_spectrum
+from ph_control.symplectic.skew_tridiagonal import bounded_spectrum, reduce_block
 
 relaxed = settings(deadline=None, max_examples=20, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
@@ -189,6 +189,45 @@ def test_one_degree_of_freedom_has_its_frequency_to_the_last_place(Q):
     assert abs(d[0] / truth - 1) <= 4 * EPS
     assert np.max(np.abs((S.T * d[0]) @ S - Q) / np.sqrt(np.outer(np.diag(Q), np.diag(Q)))) <= 8 * EPS
     assert abs(np.linalg.det(S) - 1) <= 8 * EPS
+
+
+# --- frequencies and residues alone ----------------------------------------------------------------------------------
+
+
+@relaxed
+@given(st.integers(1, 20), st.booleans(), st.sampled_from([1e-9, 1.0, 1e9]), st.sampled_from(["any", "force"]), seeds)
+def test_frequencies_and_residues_alone_are_those_of_the_modes(n, apart, scale, port, seed):
+    rng = np.random.default_rng(seed)
+    Q = scale * (block_diag(definite(n, rng, 10.0), definite(n, rng, 10.0)) if apart else definite(2 * n, rng, 10.0))
+    b = rng.standard_normal(2 * n)
+    if port == "force":
+        b[:n] = 0
+    d, kappa, _ = bounded_spectrum(Q, b)
+    truth = phc.ph(Q, b).modes
+    assert np.all(np.diff(d) >= 0)
+    assert np.max(np.abs(d - truth.d)) <= 20 * n * EPS * truth.d[-1]
+    assert abs(kappa.sum() - b @ Q @ b) <= 100 * n * EPS * norm(Q) * (b @ b)
+    # weights may flow between near frequencies: what a port shows of them together may not
+    s = truth.d[-1] * np.array([0.3 + 0.2j, 1.1 + 0.1j])
+    mine = (kappa * s[:, None] / (s[:, None] ** 2 + d**2)).sum(axis=1)
+    assert np.allclose(mine, truth.evaluate(s)[0, 0], rtol=1e-9, atol=1e-12 * kappa.sum() / truth.d[-1])
+
+
+def test_an_input_of_zero_has_residues_of_zero():
+    Q = definite(8, np.random.default_rng(0))
+    d, kappa, _ = bounded_spectrum(Q, np.zeros(8))
+    assert not kappa.any()
+    assert np.allclose(d, phc.williamson(Q)[0], rtol=1e-12)
+
+
+def test_wide_and_semidefinite_spectra_are_left_to_the_modes():
+    rng = np.random.default_rng(0)
+    wide, _ = random_hamiltonian(np.logspace(0, 2, 4), rng, 0.1)
+    narrow, _ = random_hamiltonian(np.logspace(0, 1, 4), rng, 0.1)
+    b = rng.standard_normal(8)
+    assert port_spectrum(narrow, b) is not None
+    assert port_spectrum(wide, b) is None
+    assert bounded_spectrum(np.ones((8, 8)), b) is None
 
 
 def test_turns_of_modes_take_a_defect_away_at_no_cost_of_energy(monkeypatch):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
-from .._types import Array, ComplexArray, Indices, NDArray
+from .._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..numerics.graphs import components, coupled_pairs
 from .modal_form import ModalForm
 
@@ -173,23 +173,22 @@ def separate(
     return _split(modes, _components(modes.d, errors.d), errors)
 
 
-def minimal_of_exact(modes: ModalForm) -> ModalForm:
-    """`separate(modes).minimal()` of the modes of one port, without a rigid-body mode, in O(n)."""
-    d, r = modes.d, modes.r
-    close = exact_closeness(modes.n)
-    starts = np.flatnonzero(np.insert(np.diff(d) > close * (d[1:] + d[:-1]), 0, [True] * (len(d) > 0)))
-    total, first = np.add.reduceat(r, starts), d[starts]
-    moved = np.add.reduceat(r * (d - np.repeat(first, np.diff(starts, append=len(d)))), starts)
-    reached = total > 0
-    weights = total[reached]
-    return ModalForm._of(
-        first[reached] + moved[reached] / weights, np.sqrt(weights).astype(complex)[:, None], np.zeros((0, 1)), weights
-    )
+def as_decided(modes: ModalForm, starts: Indices, reached: Mask) -> tuple[Group, ...]:
+    """Groups of neighbouring modes of one port, of which it is known where they begin and whether they are reached."""
+    counts = np.diff(starts, append=len(modes.d))
+    tolerance = np.repeat(np.where(reached, 0.0, np.inf), counts)
+    label = np.repeat(np.arange(len(starts), dtype=np.int32), counts)
+    return _split(modes, label, ModalErrors(0 * modes.d, tolerance, np.zeros(len(modes.rigid)))).groups
 
 
 def exact_closeness(n: int) -> float:
     """Relative error of each of n exact frequencies: those no farther apart than the sum of theirs are equal."""
     return _EXACT * max(1, n) * _checks.EPS
+
+
+def rounding_unit(n: int) -> float:
+    """`c eps` of the errors `|dQ_ij| <= c eps sqrt(Q_ii Q_jj)` of n degrees of freedom; measured ones grow slower."""
+    return float((4 + np.sqrt(n)) * _checks.EPS)
 
 
 def _chosen_tolerances(modes: ModalForm, rtol: float) -> ModalErrors:
@@ -286,7 +285,7 @@ def _rounding_noise(modes: ModalForm, Q: Array, B: Array, energy: Energy) -> _No
     """
     d, E, E0 = energy
     n = len(Q) // 2
-    unit = float((4 + np.sqrt(n)) * _checks.EPS)  # measured errors grow slower
+    unit = rounding_unit(n)
     root = np.sqrt(np.maximum(np.diag(Q), 0.0))
     scale = np.where(root > 0, root, 1.0)
     blocks = coupled_pairs(Q)[1]

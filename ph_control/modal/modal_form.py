@@ -570,10 +570,11 @@ class ModalForm(ShownModes):
         >>> phc.modes([1.0, 1.0, 3.0], [0.25, 0.5, 0.0]).minimal()
         modes([1.0], [0.75])
         """
-        from .error_bounds import minimal_of_exact, separate
+        from .error_bounds import separate
+        from .minimal import minimal_of_exact
 
-        exact = rtol is None and self.nports == 1 and not len(self.rigid)
-        return minimal_of_exact(self) if exact else separate(self, rtol=rtol).minimal()
+        known = minimal_of_exact(self) if rtol is None else None
+        return separate(self, rtol=rtol).minimal() if known is None else known
 
 
 def _weights_beside(nu: ComplexArray, r: ArrayLike) -> Array:

@@ -20,12 +20,16 @@ from ..numerics.polynomials import WIDE, decimals, transfer_coefficients
 from .skew_tridiagonal import (
     apply_form,
     back_to_symplectic,
+    bounded_spectrum,
+    pair_spectrum,
     poisson,
     reduce_block,
     skew_normal_form,
 )
 
 _LARGEST = 10**8  # degrees of freedom of a matrix that memory could be addressed for
+_MODERATE = 1e100  # entries of Q and B whose products stay in the range of doubles
+_SPREAD = 64.0  # largest frequency over the smallest, up to which errors relative to the largest are small enough
 
 
 def symplectic_form(n: int) -> Array:
@@ -371,6 +375,32 @@ def direct_sum(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple
     Q[np.ix_(ours, ours)], Q[np.ix_(theirs, theirs)] = first[0], second[0]
     B[ours], B[theirs] = first[1], second[1]
     return Q, B
+
+
+def port_spectrum(Q: Array, B: Array) -> tuple[Array, Array, float | None] | None:
+    """Frequencies and residues `(d, kappa)` of one port, without the modes behind them: a fraction of their cost.
+
+    With them a bound for the norm of the inverse of `Q` scaled to unit diagonal, or None if it couples no pair
+    `(q_l, p_l)` to another: then there is a formula, and each has its full relative accuracy.
+
+    With `Q = F F^T` the transfer function is `b^T (s - K)^{-1} b`, `K = F^T J F` skew and `b = F^T B`.  Householder
+    reflections that begin with one of `b` make `K` tridiagonal; with it come frequencies, and as squares of the first
+    entries of its eigenvectors the residues.  Errors are of the size of `eps d_max`, so None where `d` is spread
+    wide, and for whatever else needs more care: parts that are not coupled, a semidefinite `Q`, sizes far from 1.
+    """
+    if Q.size == 0:
+        return None
+    size = np.abs(np.concatenate([np.diag(Q), B]))
+    moderate = size.max() < _MODERATE and np.diag(Q).min() > 1 / _MODERATE and size[len(Q) :].max() > 1 / _MODERATE
+    if not moderate:
+        return None
+    parts, _ = coupled_pairs(Q)
+    if parts == len(Q) // 2 and (pairs := pair_spectrum(Q, B)) is not None:
+        return *pairs, None
+    if parts > 1:
+        return None
+    spectrum = bounded_spectrum(Q, B)
+    return None if spectrum is None or spectrum[0][0] * _SPREAD <= spectrum[0][-1] else spectrum
 
 
 def normal_form_rows(Q: Array) -> tuple[Array, Array, Array]:

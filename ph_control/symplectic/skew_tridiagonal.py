@@ -8,14 +8,17 @@ which large terms cancel have more digits than a double.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
-from scipy.linalg.blas import dtrmm
+from scipy.linalg.blas import dger, dtrmm
 from scipy.linalg.lapack import dgehrd, dorghr
 
 from .. import _checks
 from .._types import Array
 from ..numerics import definiteness as _definite
 from ..numerics.double_double import Pair, divide, exactly, product, product_parts, two_prod, two_sum
+from ..numerics.lapack import bidiagonal_components, bidiagonal_svd, components
 
 Slices = int  # how many slices of the factors a product is made of, see `product_parts`
 
@@ -24,6 +27,7 @@ _HARMLESS = 16.0  # by how much more than a double's the rounding of a product m
 _TIGHT = 2.0  # size of the terms of a bracket over that of the bracket, up to which doubles have its digits
 _REPEATED = 64  # rows of a matrix up to which a second reduction costs less than products with more digits
 _STEPS = 5
+_NO_NUMBER = 1e-200  # residues whose squares are out of range
 _TURN = 2.0**-30  # largest turn, in radians, whose square is no more than rounding
 _BLOCKED = 64  # columns of workspace with which LAPACK applies reflections in blocks
 
@@ -44,7 +48,7 @@ def reduce_block(Q: Array) -> tuple[Array, Pair, Pair]:
     `Q = S^T diag(d, d) S + E^T E`, where the rows `E` commute (in Poisson's sense) with one another and with `S`.
     """
     Q, unit = _in_common_units(Q)
-    factors = _factors(Q)
+    factors, _ = _factors_and_inverse(Q)
     none = np.zeros((0, len(Q)))
     if factors and len(Q) == 2:
         d, S = _single_plane(*factors)
@@ -56,13 +60,76 @@ def reduce_block(Q: Array) -> tuple[Array, Pair, Pair]:
     return d, (rows[0] / unit, rows[1] / unit), (still[0] / unit, still[1] / unit)
 
 
-def _factors(Q: Array) -> list[Array]:
+def bounded_spectrum(Q: Array, b: Array) -> tuple[Array, Array, float] | None:
+    """Frequencies and residues of one port for a clearly definite block, in doubles; None for any other.
+
+    With them a bound for the norm of the inverse of `Q` scaled to unit diagonal.
+    """
+    Q, unit = _in_common_units(Q)
+    factors, inverse = _factors_and_inverse(Q)
+    b, n = b / unit, len(Q) // 2
+    if len(factors) == 2:
+        Fq, Fp = factors
+        d, of_momenta, of_positions = components(_transposed_times(Fq, Fp), Fp.T @ b[n:], Fq.T @ b[:n])
+        return d[::-1].copy(), (of_positions**2 + of_momenta**2)[::-1], inverse
+    if not factors:
+        return None
+    (F,) = factors
+    b, half = F.T @ b, _transposed_times(F[:n, :n], F[n:])
+    # in the memory of F, which nobody needs any more: what is new has to be cleared by the system first
+    K = np.ascontiguousarray(F.T)
+    K[:n, :n], K[:n, n:] = half[:, :n] - half[:, :n].T, half[:, n:]
+    K[n:, :n], K[n:, n:] = -half[:, n:].T, 0.0
+    length = _turn_to_first_axis(K, b)
+    _, superdiagonal = _reflected(K, overwrite=True)
+    # of a tridiagonal matrix, even places meet odd ones only: a bidiagonal one, whose first column is that of `b`
+    along = length * np.eye(1, n)[0]
+    d, first, _ = bidiagonal_components(np.abs(superdiagonal[0::2]), np.abs(superdiagonal[1::2]), along)
+    return d[::-1].copy(), first[::-1] ** 2, inverse
+
+
+def _turn_to_first_axis(K: Array, b: Array) -> float:
+    """Reflect a skew matrix, in place and in the order of C, as takes `b` to the first axis; return the length of `b`.
+
+    With `K v = w` and the unit vector `v` of the reflection that is `K + 2 (v w^T - w v^T)`.
+    """
+    length = float(np.linalg.norm(b))
+    if length > 0:
+        v = b / length
+        v[0] += np.copysign(1.0, v[0])
+        v /= np.linalg.norm(v)
+        w = K @ v
+        # LAPACK sees the transpose
+        dger(2.0, w, v, a=K.T, overwrite_a=1)
+        dger(-2.0, v, w, a=K.T, overwrite_a=1)
+    return length
+
+
+def pair_spectrum(Q: Array, b: Array) -> tuple[Array, Array] | None:
+    """Frequencies and residues where `Q` couples no pair `(q_l, p_l)` to another; None where terms may cancel."""
+    q, p = np.split(np.diag(Q), 2)
+    x, y = np.split(b, 2)
+    c = 0.5 * (np.diag(Q, len(q)) + np.diag(Q, -len(q)))
+    if not ((q > 0) & (p > 0) & (4 * c * c <= q * p)).all():
+        return None
+    # exactly `d` of `diag(d, d)`
+    root = np.sqrt(q * p)
+    d, kappa = root * np.sqrt((1 - c / root) * (1 + c / root)), q * x * x + p * y * y + 2 * c * x * y
+    if (((x != 0) | (y != 0)) & (kappa < _NO_NUMBER)).any():
+        return None
+    order = np.argsort(d, kind="stable")
+    return d[order], kappa[order]
+
+
+def _factors_and_inverse(Q: Array) -> tuple[list[Array], float]:
     """Lower factor of a clearly definite `Q`, or those of positions and momenta where it does not couple these.
 
-    The list is empty if `Q` may be semidefinite.
+    The list is empty if `Q` may be semidefinite.  With it a bound for the norm of the inverse of `Q` scaled to unit
+    diagonal.
     """
     factors = [_definite.definite_factor(part) for part in _definite.uncoupled_halves(Q)]
-    return [] if any(factor is None for factor in factors) else [factor[0] for factor in factors if factor is not None]
+    known = [factor for factor in factors if factor is not None]
+    return ([F for F, _ in known], max(inverse for _, inverse in known)) if len(known) == len(factors) else ([], np.inf)
 
 
 def _in_common_units(Q: Array) -> tuple[Array, Array]:
@@ -307,21 +374,30 @@ def _planes(K: Array) -> tuple[Array, Array]:
     The Hessenberg form of a skew matrix is tridiagonal, so its even rows meet only odd columns: a bidiagonal matrix of
     half the size, and an SVD of that.
     """
-    work = _BLOCKED * len(K)
-    # the transpose, which is in the order of LAPACK, is -K
-    H, scales, _ = dgehrd(K.T, lwork=work)
-    P, superdiagonal = dorghr(H, scales, lwork=work)[0], 0.5 * (np.diag(H, -1) - np.diag(H, 1))
+    reflections, superdiagonal = _reflected(K)
+    P = reflections()
     pairs, odd = divmod(len(K), 2)
-    # rows are odd and columns even indices, which makes the bidiagonal an upper one
-    bidiagonal = np.zeros((pairs, pairs + odd))
-    np.fill_diagonal(bidiagonal, superdiagonal[0::2])
-    np.fill_diagonal(bidiagonal[:, 1:], -superdiagonal[1::2])
-    U, sigma, Vt = np.linalg.svd(bidiagonal)
+    if odd:
+        # rows are odd and columns even indices, which makes the bidiagonal an upper one
+        bidiagonal = np.zeros((pairs, pairs + 1))
+        place = np.arange(pairs)
+        bidiagonal[place, place], bidiagonal[place, place + 1] = superdiagonal[0::2], -superdiagonal[1::2]
+        U, sigma, Vt = np.linalg.svd(bidiagonal)
+    else:
+        U, sigma, Vt = bidiagonal_svd(superdiagonal[0::2], -superdiagonal[1::2])
     basis = np.empty((len(K), len(K)), order="F")
     ascending = np.concatenate([Vt[:pairs][::-1], Vt[pairs:]]) if odd else Vt[::-1]
     np.matmul(P[:, 0::2], ascending.T, out=basis[:, : pairs + odd])
     np.matmul(P[:, 1::2], U[:, ::-1], out=basis[:, pairs + odd :])
     return sigma[::-1].copy(), basis
+
+
+def _reflected(K: Array, *, overwrite: bool = False) -> tuple[Callable[[], Array], Array]:
+    """Superdiagonal of the tridiagonal form of a skew matrix, and a call that gives the orthogonal basis it is in."""
+    work = _BLOCKED * max(1, len(K))
+    # the transpose, which is in the order of LAPACK, is -K
+    H, scales, _ = dgehrd(K.T, lwork=work, overwrite_a=overwrite)
+    return lambda: np.asarray(dorghr(H, scales, lwork=work)[0]), 0.5 * (np.diag(H, -1) - np.diag(H, 1))
 
 
 # --- semidefinite blocks --------------------------------------------------------------------------------------

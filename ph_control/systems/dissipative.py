@@ -238,6 +238,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
     v = property(_lossless_only("v", "Williamson coordinates are"))
     is_canonical = property(_lossless_only("is_canonical", "canonical systems are"))
     _energy = property(_lossless_only("_energy", "Williamson coordinates are"))
+    _reduction = property(_lossless_only("_reduction", "the canonical part and its margins are"))
     rigid_modes = property(_lossless_only("rigid_modes", "rigid-body modes are"))
     _separation = _lossless_only("_separation", "the canonical part and its margins are")
 

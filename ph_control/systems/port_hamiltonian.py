@@ -16,8 +16,10 @@ from .._options import STORAGES, Discretisation, Interpolation, Storage
 from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import ConditioningWarning, NotLosslessError, StructureError
 from ..modal import foster_test
+from ..modal import minimal as reachability
 from ..modal.error_bounds import Separation, separate
 from ..modal.general_form import GeneralModalForm, from_pole_residues, from_state_space, from_vectors, with_damping
+from ..modal.minimal import Reduction
 from ..modal.modal_form import ModalForm, from_frequencies
 from ..numerics import definiteness as _definite
 from ..numerics.rational import LinearSystem, state_space
@@ -26,6 +28,7 @@ from ..symplectic.forms_and_williamson import (
     apply_form,
     energy_coordinates,
     frequency_conditions,
+    port_spectrum,
     symplectic_form,
     williamson,
 )
@@ -49,6 +52,7 @@ _ADVICE = {
     "K": "the matrices of M q'' + C q' + K q = F u are taken by from_second_order",
     "M": "the matrices of M q'' + C q' + K q = F u are taken by from_second_order",
 }
+_OF_Q_AND_B = (*_OF_Q, "_seen")
 
 
 class PortHamiltonian(LosslessSystem):
@@ -202,13 +206,58 @@ class PortHamiltonian(LosslessSystem):
         return self._modes
 
     @View
+    def _port(self) -> tuple[Array, Array, float | None] | None:
+        """`port_spectrum`, where it can be had."""
+        if self._given is None or self.ninputs != 1 or "_energy" in self._views:
+            return None
+        return port_spectrum(self.Q, self.B[:, 0])
+
+    @View
+    def _seen(self) -> ModalForm | None:
+        """Frequencies and residues alone, where they come cheaper than `modes`."""
+        return None if self._port is None else reachability.plain_modes(self._port[0], self._port[1] / self._port[0])
+
+    @View
+    def _reduction(self) -> Reduction | None:
+        """Modes that the port reaches, where frequencies and residues alone tell them; else None."""
+        if self._given is None:
+            return reachability.of_exact(self.modes)
+        if self._modes is not None or self._port is None:
+            return None
+        d, kappa, inverse = self._port
+        if inverse is None:
+            return reachability.of_pairs(d, kappa)
+        return reachability.of_matrix(d, kappa, inverse, np.diag(self.Q))
+
+    @View
     def _minimal(self) -> ModalForm:
         """Modal form of what ports reach, kept."""
-        return self.modes.minimal() if self._given is None else self._separation().minimal()
+        return (self._reduction or self._separation()).minimal()
 
     def _separation(self, rtol: float | None = None) -> Separation:
         """Modes parted into those that ports reach and those that they do not."""
         return separate(self.modes, self._given, None if self._given is None else self._energy, rtol=rtol)
+
+    def horner(self, x: ArrayLike, warn_infinite: bool = True) -> ComplexArray:
+        """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN.
+
+        On modal coordinates, O(n) a point: the response of the frequencies `d` and weights `r` as they are known at the
+        time, right to 5e-14 however close to a pole.
+
+        For a system given by `Q` and `B` the errors of `d` and `r` come on top.  Rounding `d` to doubles alone moves
+        the term of a resonance by `eps d / |w - d|` of its size; more is not lost up to 16 degrees of freedom and where
+        `modes` have been asked for.  Frequencies and weights alone come in a third of the time, with errors two to ten
+        times as large: of a full `Q` of condition 100 and size 200, 400 or 1000 the median of relative errors within
+        the band is 2e-14, 2e-13 or 8e-13, against 1e-14, 2e-14 or 5e-14 by modes; beyond the band both reach 1e-15.  A
+        value asked for before `modes` may differ from the same one after by as much.
+        """
+        return self._spectrum.evaluate(x)
+
+    @property
+    def _spectrum(self) -> ModalForm:
+        """Frequencies and weights: of the modes, or alone, where these are not known and are many."""
+        cheap = self._modes is not None or self.n <= _SMALL or "_energy" in self._views
+        return self.modes if cheap or self._seen is None else self._seen
 
     @View
     def _frequencies(self) -> Array | None:
@@ -236,8 +285,13 @@ class PortHamiltonian(LosslessSystem):
 
     @property
     def d(self) -> Array:
-        """Natural frequencies (symplectic eigenvalues of Q), ascending, rad per unit time; no rigid-body modes."""
-        return self.modes.d
+        """Natural frequencies (symplectic eigenvalues of Q), ascending, rad per unit time; no rigid-body modes.
+
+        Of one port and more than 16 degrees of freedom they are found without mode shapes, in a third of the time, with
+        an error of a few `eps d_max`, where the largest is at most 64 times the smallest.  Once something has asked for
+        `modes`, they are those of `modes`, which may differ by as much.
+        """
+        return self._spectrum.d
 
     @property
     def r(self) -> Array:
@@ -245,7 +299,7 @@ class PortHamiltonian(LosslessSystem):
 
         An error of d comes with one of `r` that is `r_l / gap` times as large, with the gap to the next frequency.
         """
-        return self.modes.r
+        return self._spectrum.r
 
     def poles(self) -> ComplexArray:
         """Eigenvalues of A, shape (2n,): `±i d`, and 0 twice for each degree of freedom without a frequency."""
@@ -304,8 +358,8 @@ class PortHamiltonian(LosslessSystem):
     @property
     def is_canonical(self) -> bool:
         """Whether the system is controllable, which is the same as observable: all `d` differ and all `r > 0`."""
-        if self._given is None:
-            return not len(self.modes.rigid) and self.modes.is_minimal
+        if self._reduction is not None:
+            return self._reduction.is_minimal
         return len(self.modes.d) == self.n and self._separation().is_minimal
 
     def hamiltonian(self, z: ArrayLike) -> float | Array:
@@ -434,7 +488,7 @@ class PortHamiltonian(LosslessSystem):
 
     def _converted(self, **names: Any) -> PortHamiltonian:
         names = inherited_names(self, names, *_SIGNALS)
-        twin = restored(PortHamiltonian, self._given, self._modes, names, self._kept(_OF_Q))
+        twin = restored(PortHamiltonian, self._given, self._modes, names, self._kept(_OF_Q_AND_B))
         twin.time_unit = self.time_unit
         return twin
 
@@ -462,7 +516,7 @@ class PortHamiltonian(LosslessSystem):
         return {name: getattr(self, name) for name in names}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        known = self._given, self._modes, self._names(), self._kept(_OF_Q)
+        known = self._given, self._modes, self._names(), self._kept(_OF_Q_AND_B)
         return restored, (type(self), *known), self._attached()
 
     def _repr_eval_(self) -> str:

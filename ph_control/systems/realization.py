@@ -18,13 +18,15 @@ import numpy as np
 from .. import _checks
 from .._types import Array, ComplexArray
 from ..exceptions import StructureError
-from ..modal.error_bounds import Group, Separation
+from ..modal.error_bounds import Group, Separation, as_decided
+from ..modal.minimal import minimal_of_exact
 from ..modal.modal_form import ModalForm
 from .base import Convertible, LosslessSystem, in_normal_form, refuse_losses
 from .dissipative import DissipativePortHamiltonian, minimal_of
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian, ph
 
 _NEAR = 1e-9  # relative distance of frequencies that a symmetric structure may mean to be one
+_SURE_GAP = 2e-6  # relative gap of frequencies beyond which weights, however computed, agree to 1e-10
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -190,7 +192,9 @@ def minreal(sys: Convertible, *, rtol: float | None = None) -> PortHamiltonian:
     is classical, else the mean storage of its ports, as from `ph`.  A system without hidden states is returned in its
     own coordinates, with its own energy.  O(n^3).
 
-    Modes that are known are merged in O(n).  Of a matrix it is O(n^3), by its modes and the bounds of their errors.
+    Modes that are known are merged in O(n).  Of a matrix it is O(n^3), and for one port mostly without mode shapes:
+    each bound of an error lies between two that need none, and where both lead to the same decision it is made.  `d`
+    and `r` are then as accurate as those of a system that has not been asked for `sys.modes`.
 
     Examples
     --------
@@ -203,8 +207,8 @@ def minreal(sys: Convertible, *, rtol: float | None = None) -> PortHamiltonian:
     >>> damped.nstates, damped.conversion.hidden
     (4, 2)
     """
-    if rtol is None and isinstance(sys, ModalForm) and sys.is_lossless and sys.nports == 1:
-        return PortHamiltonian._from_modes(sys.minimal())
+    if rtol is None and isinstance(sys, ModalForm) and sys.is_lossless and (known := minimal_of_exact(sys)) is not None:
+        return PortHamiltonian._from_modes(known)
     system = full_port_hamiltonian(sys) if isinstance(sys, LosslessSystem) else ph(sys)
     if isinstance(system, DissipativePortHamiltonian):
         if rtol is not None:
@@ -254,8 +258,9 @@ def kalman_decomposition(sys: Convertible, *, rtol: float | None = None) -> Kalm
     Notes
     -----
     Of k modes of one frequency, which have no coordinates of their own, an element of `U(k)` takes one onto the
-    input.  The direct sum holds within the error bounds by which modes were called equal or unreached.  O(n^3).  `T` is
-    computed when it is looked at.
+    input.  The direct sum holds within the error bounds by which modes were called equal or unreached.  O(n^3).  Where
+    frequencies differ by more than 2e-6 of their size or not at all, the two systems cost no more than `minreal`, and
+    `T`, which takes all mode shapes, is computed when it is looked at; elsewhere all come from the same mode shapes.
 
     Examples
     --------
@@ -267,18 +272,24 @@ def kalman_decomposition(sys: Convertible, *, rtol: float | None = None) -> Kalm
     array([5., 0., 0., 0.])
     """
     system = _with_hidden_modes(sys, "the Kalman decomposition is that of one port")
-    if len(system.d) < system.n:
+    reduction = system._reduction if rtol is None else None
+    if reduction is not None and reduction.gap < _SURE_GAP:
+        reduction = None
+    if reduction is None and len(system.d) < system.n:
         raise StructureError(
             f"Q is only positive semidefinite: {system.n - len(system.d)} of {system.n} degrees of freedom have no "
             "frequency, and what is reachable is then more than what is observable; use minreal"
         )
-    separation = system._separation(rtol)
-    hidden = separation.hidden()
+    split = reduction or system._separation(rtol)
+    hidden = split.hidden()
     unseen = ModalForm._of(hidden, np.zeros((len(hidden), 1), complex), np.zeros((0, 1)))
-    reachable = _named_like(system, separation.minimal())
-    return KalmanDecomposition(
-        reachable, _named_like(system, unseen), lambda: _transformation(system, separation.groups)
-    )
+
+    def transformation() -> Array:
+        if isinstance(split, Separation):
+            return _transformation(system, split.groups)
+        return _transformation(system, as_decided(system.modes, split.starts, split.reached))
+
+    return KalmanDecomposition(_named_like(system, split.minimal()), _named_like(system, unseen), transformation)
 
 
 def canonical_margins(sys: Convertible) -> CanonicalMargins:
