@@ -47,7 +47,10 @@ class Record:
 
 
 def bound(frame: Frame, records: Sequence[Record]) -> np.ndarray:
-    """Cramer-Rao bound of frequencies and damping ratios (2n,), of outputs in white noise of any size."""
+    """Cramer-Rao bound of frequencies and damping ratios (2n,), of outputs in white noise of any size.
+
+    The motion in which each record begins is unknown as well.
+    """
     n, p = len(frame.w), len(frame.shapes)
     theta = np.concatenate([frame.w, frame.zeta, frame.shapes.ravel(), frame.driven.ravel()])
 
@@ -62,6 +65,16 @@ def bound(frame: Frame, records: Sequence[Record]) -> np.ndarray:
         change = np.zeros(len(theta))
         change[j] = 1e-5 * abs(value)
         columns.append((outputs(theta + change) - outputs(theta - change)) / (2 * change[j]))
+    A, _, C, _ = frame.sampled
+    values, V = np.linalg.eig(A)
+    for place in range(len(records)):
+        for state in np.linalg.inv(V).T:
+            motions = [
+                ((C @ V * state) @ values[:, None] ** np.arange(len(record.level)) / record.level).real
+                * (place == number)
+                for number, record in enumerate(records)
+            ]
+            columns.append(np.concatenate([motion.ravel() for motion in motions]))
     J = np.array(columns)
     lengths = np.linalg.norm(J, axis=1)
     # the scales of shapes and forces leave n directions undetermined

@@ -104,6 +104,12 @@ class Frame:
             responses.append((C @ (V @ states).real)[:, early:])
         return responses[0], responses[1]
 
+    def free_motion(self, z: np.ndarray, samples: int) -> np.ndarray:
+        """What states at the first sample add to the outputs, (bins, p, 2n), as those at `z` show it."""
+        A, _, C, _ = self.sampled
+        values, V = np.linalg.eig(A)
+        return (C @ V)[None] * (z[:, None, None] / (z[:, None, None] - values)) @ np.linalg.inv(V) / np.sqrt(samples)
+
     def residues(self) -> np.ndarray:
         """Residues (n, p, m) at the poles of positive imaginary part."""
         pole = self.w * (-self.zeta + 1j * np.sqrt(1 - self.zeta**2))
@@ -125,36 +131,46 @@ def spectra(
 
 
 def bound(
-    frame: Frame, u: np.ndarray, size: float, sensors: np.ndarray, colour: float = 0.0, inputs: float = 0.0
-) -> np.ndarray:
-    """Cramer-Rao bound of frequencies and damping ratios (2n,): shapes, forces and variances are unknown as well.
+    frame: Frame, u: np.ndarray, y: np.ndarray, size: float, sensors: np.ndarray, colour: float = 0.0,
+    inputs: float = 0.0,
+) -> np.ndarray:  # fmt: skip
+    """Cramer-Rao bound of frequencies and damping ratios (2n,) of a record: inputs, outputs without noise.
 
-    Noise of the sensors is autoregressive with the coefficient `colour`, that of held inputs has the variance `inputs`.
+    Shapes, forces, variances and the motion in which the record begins are unknown as well.  Noise of the sensors is
+    autoregressive with the coefficient `colour`, that of held inputs has the variance `inputs`.
     """
     n, p, T = len(frame.w), len(frame.shapes), u.shape[1]
     k = np.arange(1, (T - 1) // 2)
     z, U = np.exp(2j * np.pi * k / T), (np.fft.rfft(u)[:, k] / np.sqrt(T)).T if len(u) else np.zeros((len(k), 0))
     lower = np.tril_indices(p)
+    driven = np.einsum("kpm,km->kp", spectra(frame, z, size, sensors)[0], U)
+    rest = ((np.fft.rfft(y)[:, k] / np.sqrt(T)).T - driven).ravel()
+    motion = frame.free_motion(z, T).reshape(len(rest), 2 * n)
+    begun = np.linalg.lstsq(np.concatenate([motion.real, motion.imag]), np.concatenate([rest.real, rest.imag]))[0]
 
     def model(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        parts = np.split(theta, np.cumsum([n, n, p * n, frame.driven.size, frame.forced.size]))
+        sizes = [n, n, p * n, frame.driven.size, frame.forced.size, 2 * n]
+        parts = np.split(theta, np.cumsum(sizes))
         now = Frame(parts[0], parts[1], parts[2].reshape(p, n), parts[3].reshape(frame.driven.shape),
                     parts[4].reshape(frame.forced.shape))  # fmt: skip
         L = np.zeros((p, p))
-        L[lower] = parts[5][:-2]
-        coloured = (np.abs(1 - parts[5][-2] / z) ** -2.0)[:, None, None] * (L @ L.T)
-        G, S = spectra(now, z, size, coloured, parts[5][-1])
-        return np.einsum("kpm,km->kp", G, U), S
+        L[lower] = parts[6][:-2]
+        coloured = (np.abs(1 - parts[6][-2] / z) ** -2.0)[:, None, None] * (L @ L.T)
+        G, S = spectra(now, z, size, coloured, parts[6][-1])
+        return np.einsum("kpm,km->kp", G, U) + now.free_motion(z, T) @ parts[5], S
 
     root = np.linalg.cholesky(sensors)[lower]
     theta = np.concatenate([frame.w, frame.zeta, frame.shapes.ravel(), frame.driven.ravel(), frame.forced.ravel(),
-                            root, [colour, inputs]])  # fmt: skip
+                            begun, root, [colour, inputs]])  # fmt: skip
     _, S = model(theta)
     W = np.linalg.inv(np.linalg.cholesky(S))
     columns = []
+    first = len(theta) - 2 - len(root) - 2 * n
     for j, value in enumerate(theta):
         e = np.zeros(len(theta))
         e[j] = 1e-5 * abs(value) if value else 1e-8
+        if first <= j < first + 2 * n:  # the spectrum is linear in these
+            e[j] = np.max(np.abs(begun))
         if not value and j >= len(theta) - 2:
             continue
         (up, Su), (down, Sd) = model(theta + e), model(theta - e)
@@ -240,10 +256,11 @@ def run(name: str, shape: tuple[int, int, int], seeds: int, T: int = 3000, *, fo
         e = lfilter([1.0], [1.0, -colour], e)[:, 1000:]
         if loop:
             u, y = frame.in_closed_loop(u, loop * np.sqrt(np.mean(u.var(axis=1)) / np.mean(y.var(axis=1))), e)
+            clean = y - e
         else:
-            y = y + moved + e
+            clean, y = y, y + moved + e
         seen = u + inputs * rng.standard_normal(u.shape)
-        least = bound(frame, u, size, noise * (1 - colour**2), colour, inputs**2)
+        least = bound(frame, u, clean, size, noise * (1 - colour**2), colour, inputs**2)
         # second moments do not tell white noise of a white input from a force beside it: what can be known of residues
         # is what a recorded input foretells
         seen_frame = replace(frame, driven=frame.driven / (1 + inputs**2))

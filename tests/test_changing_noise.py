@@ -88,6 +88,18 @@ def test_a_result_has_the_recording_that_was_given(fits, tmp_path):
     np.testing.assert_allclose(resampled, result.stderr["natural_frequencies"], rtol=0.5)
 
 
+def test_noise_that_looks_correlated_may_change():
+    """So few loud samples count that outputs look alike by chance; here they are."""
+    u, y = recorded(0, [10.0, 10.0])
+    clean = velocities(u)
+    noise = y - clean
+    noise[1] += 0.3 * noise[0]
+    result = phc.pem((u, clean + noise), 2, dt=STEP, structure="free")
+    correlated = phc.pem((u, clean + noise), 2, dt=STEP, structure="free", noise="correlated")
+    assert changes_in(result)
+    assert np.all(result.stderr["natural_frequencies"] < 0.5 * correlated.stderr["natural_frequencies"])
+
+
 @pytest.mark.slow
 def test_outputs_change_together_or_alone():
     together = changes_in(phc.pem(recorded(3, [8.0, 8.0]), 2, dt=STEP))

@@ -43,6 +43,8 @@ class SpectralWindow:
         What the input did between the samples.  Responses are divided by that of the hold.
     shift : int
         Samples from one block to the next.
+    blocks : int or None
+        Blocks that were averaged; None where that is not known.
     """
 
     name: str
@@ -50,6 +52,7 @@ class SpectralWindow:
     step: float
     hold: ResponseInterpolation
     shift: int
+    blocks: int | None = None
 
     @classmethod
     def of(
@@ -62,8 +65,9 @@ class SpectralWindow:
 
     @property
     def given(self) -> Any:
-        """As it may be given: a pair of name and length, or values."""
-        return (self.name, self.length) if self.name else self.values
+        """As it may be given: name, length and number of blocks if that is known, or values."""
+        counted = () if self.blocks is None else (self.blocks,)
+        return (self.name, self.length, *counted) if self.name else self.values
 
     @property
     def length(self) -> int:
@@ -133,11 +137,11 @@ def hold_response(theta: Array, intersample: str) -> ComplexArray | Array:
 
 
 def window_of(window: Any, omega: Array, step: float | None, hold: ResponseInterpolation) -> SpectralWindow:
-    """Check a window that was given, a pair of its name and length or its values, for responses at some frequencies.
+    """Check a window that was given, for responses at some frequencies: its name, length and blocks, or its values.
 
     Without a step of the samples the frequencies are taken for neighbouring lines.
     """
-    name, values = _named(window)
+    name, values, blocks = _named(window)
     if step is None:
         steps = np.diff(np.unique(omega))
         steps = steps[steps > _checks.EPS * omega.max(initial=0.0)]
@@ -149,7 +153,7 @@ def window_of(window: Any, omega: Array, step: float | None, hold: ResponseInter
         # the median, as tables round; lines that were left out make some distances multiples of it
         apart = float(np.median(steps[steps < 1.5 * steps.min()]))
         step = float(2 * np.pi / (len(values) * _refined(apart, omega)))
-    window = SpectralWindow(name, values, step, hold, len(values) // 2)
+    window = SpectralWindow(name, values, step, hold, len(values) // 2, blocks)
     window.lines(omega)
     return window
 
@@ -161,17 +165,19 @@ def _refined(apart: float, omega: Array) -> float:
     return float(place @ omega) / power if power else apart
 
 
-def _named(window: Any) -> tuple[str, Array]:
-    """Name and values of a window."""
-    if isinstance(window, tuple | list) and len(window) == 2 and isinstance(window[0], str | tuple):
+def _named(window: Any) -> tuple[str, Array, int | None]:
+    """Name and values of a window, and the number of blocks if it is given."""
+    if isinstance(window, tuple | list) and len(window) in (2, 3) and isinstance(window[0], str | tuple):
         name, length = window[0], _checks.whole_number("the length of the window", window[1], _SHORTEST)
+        blocks = None if len(window) == 2 else _checks.whole_number("the number of blocks", window[2], 1)
         try:
-            return (name if isinstance(name, str) else ""), np.asarray(signal.get_window(name, length), float)
+            values = np.asarray(signal.get_window(name, length), float)
         except (ValueError, TypeError) as error:
             raise StructureError(
                 f"window is {_checks.shown(window)}, and scipy.signal.get_window knows no {name!r} ({error}); use "
                 "'hann', 'boxcar', 'hamming', 'blackman', 'flattop', ..., or pass the values of the window"
             ) from None
+        return (name if isinstance(name, str) else ""), values, blocks
     if isinstance(window, str) or not isinstance(window, np.ndarray | list | tuple):
         raise StructureError(
             f"window is {_checks.shown(window)}; pass the name and the samples of a block, such as ('hann', 512), or "
@@ -182,7 +188,7 @@ def _named(window: Any) -> tuple[str, Array]:
         raise StructureError(
             f"window has {len(values)} values, {np.count_nonzero(values)} of them not 0; expected at least {_SHORTEST}"
         )
-    return "", values
+    return "", values, None
 
 
 def estimated_response(window: SpectralWindow, answers: Array, omega: Array) -> ComplexArray:

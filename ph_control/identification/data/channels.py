@@ -391,14 +391,17 @@ class Sampling:
     hold: ResponseHold = "auto"
 
     def stated_by(self, data: Any) -> Sampling:
-        """With what data state of themselves by the attributes `window`, `step` and `intersample`."""
+        """With what data state of themselves by the attributes `window`, `segments`, `step` and `intersample`."""
         if self.window is not None or getattr(data, "window", None) is None:
             return self
         step = getattr(data, "step", None)
         if step is not None:
             refuse_contradiction(self.dt, step, "the estimate")
         hold: Any = getattr(data, "intersample", "auto") if self.hold == "auto" else self.hold
-        return Sampling(data.window, step or self.dt, hold)
+        window, blocks = data.window, getattr(data, "segments", None)
+        if blocks is not None and isinstance(window, tuple | list) and len(window) == 2:
+            window = (*window, blocks)
+        return Sampling(window, step or self.dt, hold)
 
     def of(self, data: Any, omega: Array) -> SpectralWindow | None:
         """The window at some frequencies."""

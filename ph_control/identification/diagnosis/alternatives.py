@@ -50,7 +50,7 @@ class Searched:
 Search = Callable[[Channels], Searched]
 
 
-def beside_disturbances(alone: Searched, search: Search, automatic: bool) -> Searched:
+def beside_disturbances(alone: Searched, search: Search, automatic: bool, certain: bool = False) -> Searched:
     """Search beside each disturbance in turn, as long as the criterion agrees; what was last where interrupted.
 
     Parameters
@@ -61,12 +61,18 @@ def beside_disturbances(alone: Searched, search: Search, automatic: bool) -> Sea
         Makes such a search in other channels.
     automatic : bool
         Whether the number of modes is left to the data.
+    certain : bool
+        Whether noise that outputs share is given, and not found.
     """
     latest = alone
     try:
         latest = _beside_hum(latest, search, automatic)
         latest = _beside_unequal_noise(latest, search)
-        return latest if latest.free.beside is not None else _beside_changing_noise(latest, search)
+        beside = latest.free.beside
+        if beside is not None and (certain or beside.is_coloured):
+            return latest
+        # loud samples are few, which makes outputs look correlated
+        return _beside_changing_noise(latest, search)
     except KeyboardInterrupt:
         return latest.cut
 

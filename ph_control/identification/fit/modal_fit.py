@@ -75,7 +75,7 @@ def _of_modes_and_inputs(
     def searched(channels: Channels) -> Searched:
         return Searched(channels, *_beside_motion(search_in(channels), order, start, options.moving, resting))
 
-    latest = beside_disturbances(searched(channels), searched, isinstance(order, str))
+    latest = beside_disturbances(searched(channels), searched, isinstance(order, str), options.noise in KINDS)
     search, moving = search_in(latest.channels), latest.moving
     free = replace(
         latest.free, findings=(*latest.findings, *latest.free.findings, *_about_order(latest.free, order, options))

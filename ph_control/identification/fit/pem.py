@@ -160,10 +160,11 @@ def pem(
         or coloured, an autoregression of each; or forces that nobody measured, and noise of recorded inputs, which
         come through the plant.  'auto' takes the simplest that the data do not reject.  Of outputs alone 'forces' says
         that wind, traffic or the like kept the plant in motion, and 'auto' whether they did, or a motion decays.
-    window : pair (name, N), or array_like, shape (N,), optional
+    window : (name, N), (name, N, blocks), or array_like, shape (N,), optional
         Window of the blocks of N samples, overlapping by half, that frequency responses were estimated from (H1), by
-        its name in `scipy.signal.get_window` or by its values; the input was white or nearly so.  Default: what the
-        data state by an attribute `window`, as `spectral_estimate` does; none otherwise.
+        its name in `scipy.signal.get_window` or by its values; the input was white or nearly so.  The number of blocks
+        says how large errors are about resonances, where few lines tell it.  Default: what the data state by attributes
+        `window` and `segments`, as `spectral_estimate` does; none otherwise.
     model : callable, optional
         Function from physical parameters, an array (P,), to a system with the inputs and outputs of the data, as a
         `StateSpace`, a `TransferFunction` or any system of this package: springs and masses, `from_second_order` of

@@ -41,7 +41,7 @@ _WORDS = {
 _MAY_LACK = {
     "drift", "output", "experiment", "findings", "tests", "time_unit", "title", "method", "blind",
     "initial_stderr", "offset_stderr", "noise_scale", "delay", "delay_stderr", "input_delay", "background",
-    "window", "errors", "noise", "colours", "forces", "cross", "states", "apart",
+    "window", "blocks", "errors", "noise", "colours", "forces", "cross", "states", "apart",
     "fitted_parameters",
 }  # fmt: skip
 _MAY_BE_NAN = {

@@ -3,7 +3,8 @@
 Blocks of a record begin in motion, so that the errors of an estimated response are largest at its resonances, and those
 of neighbouring lines are correlated.  All follows from the modes and from the ratio of the noise of each output to the
 input, which is estimated from what the modes leave, as the likelihood of the residuals with their own degrees of
-freedom has it.
+freedom has it.  The law times the number of blocks is that of one: without this number the few lines about resonances
+have to tell how large the errors there are, which they do poorly.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from ...analysis.spectral_window import SpectralWindow
 from ..data.channels import ResponseMatrix
 from ..data.line_errors import BandedFactor, LineErrors
 from ..data.windowed import WindowErrors, error_bands
-from ..regression.free import FreeProjection, by_poles
+from ..regression.free import by_poles
 from ..regression.frequency_rows import FreeResponse
 from ..regression.spectral_rows import real_rows
 from ..search.fitted_modes import FreeFit
@@ -122,12 +123,12 @@ def _of_model(fit: FreeFit) -> list[ResponseMatrix]:
     for data in fit.channels:
         lines = data.window.lines(data.omega)
         law = error_bands(data.window, lines, projection.p, residues, feedthrough)
-        mine = [
-            (k, rows) for k, rows in enumerate(projection.experiments)
+        entries = [
+            _Entry.of(fit, k, rows, m) for k, rows in enumerate(projection.experiments)
             if isinstance(rows, FreeResponse) and rows.frequencies is data.omega
         ]  # fmt: skip
         noise = np.array([
-            _likeliest_noise(projection, [pair for pair in mine if pair[1].outputs[0] // m == output], law, output)
+            _likeliest_noise([each for each in entries if each.place[0] == output], law, data.window.blocks)
             for output in range(p)
         ])  # fmt: skip
         covariances = np.array([[law.covariance(lines, (o, o), noise[o])] * m for o in range(p)])
@@ -139,18 +140,18 @@ def _of_model(fit: FreeFit) -> list[ResponseMatrix]:
     return channels
 
 
-def _likeliest_noise(
-    projection: FreeProjection, seen: Sequence[tuple[int, FreeResponse]], law: WindowErrors, output: int
-) -> float:
-    """Variance of noise over that of an input with which the residuals of an output are likeliest."""
+def _likeliest_noise(entries: Sequence[_Entry], law: WindowErrors, blocks: int | None) -> float:
+    """Variance of noise over that of an input with which the residuals of the entries of an output are likeliest."""
+    if not entries:
+        return 1.0
+    output = entries[0].place[0]
     ratios = law.motion[output, output, 0].real / law.noise[0].real
     largest = float(ratios.max(initial=0.0))
-    if largest <= 0 or not seen:
+    if largest <= 0:
         return 1.0
-    entries = [_Entry.of(projection, k, rows, law.inputs) for k, rows in seen]
 
     def unlikely(log_noise: float) -> float:
-        return sum(entry.unlikely(law, float(np.exp(log_noise))) for entry in entries)
+        return sum(entry.unlikely(law, float(np.exp(log_noise)), blocks) for entry in entries)
 
     # from where motion is all at all lines to where noise is
     low, high = np.log([max(float(ratios.min()), _LEAST * largest) * _ALL, largest / _ALL]).tolist()
@@ -163,15 +164,19 @@ def _likeliest_noise(
 
 @dataclass(frozen=True)
 class _Entry:
-    """An entry of responses: the columns (k, K) that its fit is free in, and what was measured, as last of them."""
+    """An entry of responses: the columns (k, K) that its fit is free in, and what was measured, as last of them.
+
+    That is in the units of the data.
+    """
 
     place: tuple[int, int]
     lines: Indices
     columns: ComplexArray
 
     @classmethod
-    def of(cls, projection: FreeProjection, k: int, rows: FreeResponse, inputs: int) -> _Entry:
-        """That of rows of a fit."""
+    def of(cls, fit: FreeFit, k: int, rows: FreeResponse, inputs: int) -> _Entry:
+        """That of the rows of an experiment."""
+        projection = fit.projection
         plain, n = replace(rows, white=None, scale=np.ones(len(rows.scale))), len(projection.p)
         assert plain.window is not None
         columns, entry = next(plain.at(projection.p).blocks()), int(rows.outputs[0])
@@ -179,12 +184,16 @@ class _Entry:
         derivatives = columns[linear : linear + 4 * n].T
         slopes = by_poles(derivatives, plain, projection.own[k][:, 0], projection.residues[:, entry])
         parts = np.concatenate([columns[:linear], slopes.T, columns[-1:]])
+        parts[-1] *= fit.scales[entry]
         half = len(plain.omega)
         each = parts[:, :half] + 1j * parts[:, half:]
         return cls(divmod(entry, inputs), plain.window.lines(plain.omega), each)
 
-    def unlikely(self, law: WindowErrors, noise: float) -> float:
-        """-2 log-likelihood of what is left, with the degrees of freedom that it has, its scale at its best."""
+    def unlikely(self, law: WindowErrors, noise: float, blocks: int | None) -> float:
+        """-2 log-likelihood of what is left, with the degrees of freedom that it has.
+
+        The scale of the errors is that of so many `blocks`; where their number is not known, the best.
+        """
         covariance = law.covariance(self.lines, (self.place[0],) * 2, noise)
         factor = BandedFactor.of(covariance, law.relation(self.lines, self.place, self.place))
         rows = real_rows([factor.whitened(self.columns)])
@@ -192,5 +201,7 @@ class _Entry:
         unit = rows[lengths > 0] / lengths[lengths > 0, None]
         R, _ = lapack.dpotrf(unit @ unit.T + _RIDGE * np.eye(len(unit)))
         sizes = np.log(np.abs(np.diag(R))) + np.log(lengths[lengths > 0])
+        if blocks is not None:
+            return float(factor.log_determinant + 2 * np.sum(sizes[:-1]) + blocks * np.exp(2 * sizes[-1]))
         spare = max(1, rows.shape[1] - len(sizes) + 1)
         return float(factor.log_determinant + 2 * spare * sizes[-1] + 2 * np.sum(sizes[:-1]))
