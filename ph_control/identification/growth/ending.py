@@ -93,18 +93,9 @@ def finished(
     while automatic and (weakest := needless_mode(path, projection)) is not None:
         projection, losses = settled(path, np.delete(projection.p, weakest), None, near)
     near = float(_DECIDED / path.counts.sum()) if refined else None
-    fed: Mask | None = None
-    if projection.has_feedthrough and not path.felt.all():
-        fed = path.felt | fed_through(path, projection)
     # noise of slow colour hides a constant that is still the level of the output
     constant_open = path.options.constant_open and not (interrupted or model.innovations)
-    level = constant_open and evidence_of_constants(projection) < _least_of_constants(path, projection)
-    if level:
-        path.drop_constants(losses)
-    if level or (fed is not None and not fed.all()):
-        projection, losses = settled(path, projection.p, fed, near, None if level else projection)
-    if constant_open and not level:
-        projection, losses = _without_needless_constants(path, projection, losses, fed, near)
+    projection, losses, fed = _without_what_is_needless(path, projection, losses, constant_open, near)
     projection, losses = on_simplest_background(path, projection, losses, fed, near)
     if refined:
         projection, losses = settled(path, projection.p, fed, EXACT, projection)
@@ -119,6 +110,23 @@ def finished(
         rounding, interrupted, measured=measured, noise=model.innovations, delay=path.delay,
         input_delay=path.input_delay, crowded=path.crowded,
     )  # fmt: skip
+
+
+def _without_what_is_needless(
+    path: FreePath, projection: FreeProjection, losses: Array, constant_open: bool, rtol: float | None
+) -> tuple[FreeProjection, Array, Mask | None]:
+    """Find the minimum without constants and feedthrough that do not stand out, and what is fed through."""
+    fed: Mask | None = None
+    if projection.has_feedthrough and not path.felt.all():
+        fed = path.felt | fed_through(path, projection)
+    level = constant_open and evidence_of_constants(projection) < _least_of_constants(path, projection)
+    if level:
+        path.drop_constants(losses)
+    if level or (fed is not None and not fed.all()):
+        projection, losses = settled(path, projection.p, fed, rtol, None if level else projection)
+    if constant_open and not level:
+        projection, losses = _without_needless_constants(path, projection, losses, fed, rtol)
+    return projection, losses, fed
 
 
 def _least_of_constants(path: FreePath, projection: FreeProjection) -> float:
