@@ -5,8 +5,10 @@ import pytest
 from ambient_plant import ambient, sampled
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 from scipy.signal import lfilter
+from scipy.stats import chi2
 
 import ph_control as phc
+from ph_control.identification.innovations import forces
 from ph_control.identification.innovations.estimated_noise import with_estimated_noise
 from ph_control.identification.innovations.minimum import Experiment, InnovationsModel, Problem, minimise
 from ph_control.identification.innovations.subspace import in_sections
@@ -162,3 +164,24 @@ def test_errors_beside_estimated_noise_are_those_of_the_formula_for_all_bins(out
     )
     assert np.all(np.diag(more) >= -1e-12 * np.diag(known))
     assert np.all(np.diag(more)[:2] > 0.01 * np.diag(known)[:2])
+
+
+def test_white_noise_beside_modes_that_last_as_long_as_the_record_has_the_score_of_white_noise(monkeypatch):
+    """The motion in which a record begins is fitted, and what it takes from the errors is not told for forces."""
+    scores = []
+
+    def scored(evaluation):
+        value = score(evaluation)
+        scores.append((value, evaluation.point.noise.K.size))
+        return value
+
+    score = forces._score
+    monkeypatch.setattr(forces, "_score", scored)
+    plant = phc.modes([0.3, 1.1], [1.0, 0.6], damping=[0.0013, 0.0005])
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        u = rng.standard_normal(800)
+        y = phc.forced_response(plant, np.arange(800.0), u, intersample="zoh").outputs
+        phc.pem((u, y + 0.2 * y.std() * rng.standard_normal(800)), 2, dt=1.0, real_poles=0, noise="auto")
+    total, count = np.sum(scores, axis=0)
+    assert len(scores) > 3 and total < chi2.ppf(0.999, count)

@@ -507,7 +507,11 @@ def _hints_at_forces(foretold: _Predictors, alone: float, white: LikelihoodEvalu
 
 
 def _score(evaluation: LikelihoodEvaluation) -> float:
-    """Twice the log-likelihood that one step of the gains promises beside white noise, all others moving along."""
+    """Twice the log-likelihood that one step of the gains promises beside white noise, all others moving along.
+
+    Beyond what it promises in white noise itself: numbers that were fitted, as the motion in which a record begins,
+    leave errors that look as if noise came through modes that last as long as the record.
+    """
     noise = evaluation.point.noise
     gram, gradient = evaluation.normal
     first = len(noise.sections.x)
@@ -515,10 +519,12 @@ def _score(evaluation: LikelihoodEvaluation) -> float:
     others = np.setdiff1d(np.arange(len(gram)), np.arange(first, gains[-1] + 1))
     lengths = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     gram, gradient = gram / np.outer(lengths, lengths), gradient / lengths
+    among = np.linalg.pinv(gram[np.ix_(others, others)], rcond=1e-12, hermitian=True)
     # where others are not at their best among themselves, that is no sign of forces
-    moved = np.linalg.pinv(gram[np.ix_(others, others)], rcond=1e-12, hermitian=True) @ gram[np.ix_(others, gains)]
+    moved = among @ gram[np.ix_(others, gains)]
     inner = gram[np.ix_(gains, gains)] - gram[np.ix_(gains, others)] @ moved
-    slope = gradient[gains] - moved.T @ gradient[others]
+    expected = evaluation.expected_slope_of_gains(others, among / np.outer(lengths[others], lengths[others]))
+    slope = gradient[gains] - moved.T @ gradient[others] - expected.ravel() / lengths[gains]
     return float(slope @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ slope)
 
 

@@ -312,6 +312,25 @@ class LikelihoodEvaluation:
                 counts = np.repeat(experiment.counts[bins], self.p)
                 yield rows.ravel(), J.reshape(-1, width), counts
 
+    def expected_slope_of_gains(self, fitted: Indices, among: Array) -> Array:
+        """Mean (N, p) of half the gradient by gains, in white noise, where other numbers were fitted.
+
+        The errors of covariance 1 are then of covariance `1 - J G J*` in each bin, with the Jacobian `J` of what was
+        fitted and the inverse `G` of its Gram matrix, `among`.
+        """
+        total, width = np.zeros((self.point.noise.states, self.p)), len(self.problem.vector(self.point))
+        for place, (experiment, errors) in enumerate(zip(self.problem.experiments, self.errors, strict=True)):
+            for bins in pieces(len(experiment.z), width * self.p):
+                z, e = experiment.z[bins], errors[:, bins]
+                W, seen = self._whitening(z)
+                J = np.zeros((len(z), self.p, width), complex)
+                self._fill(J, place, bins, z, W, e, seen)
+                J = J[:, :, fitted]
+                scatter = np.eye(self.p) - (J @ among) @ J.conj().transpose(0, 2, 1)
+                through = (W @ np.asarray(seen)) * experiment.counts[bins][:, None, None]
+                total -= np.einsum("bin,bim->nm", through.conj(), scatter).real @ self._root.T
+        return total
+
     def _gram_of_noise(self) -> Array:
         """Gram matrix of the Jacobian, of outputs alone: most columns are products of two factors in each bin.
 
