@@ -165,12 +165,7 @@ class LosslessSystem(ct.StateSpace):
     def horner(self, x: ArrayLike, warn_infinite: bool = True) -> ComplexArray:
         """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN.
 
-        On modal coordinates, O(n) a point: the response of the frequencies `d` and weights `r`, right to 5e-14 however
-        close to a pole.
-
-        For a system given by `Q` and `B` the errors of `d` and `r` come on top.  Rounding `d` to doubles alone moves
-        the term of a resonance by `eps d / |w - d|` of its size.  Of a full `Q` of condition 100 and size 200, 400 or
-        1000 the median of relative errors within the band is 1e-14, 2e-14 or 5e-14; beyond the band it is 1e-15.
+        Runs on modal coordinates: O(n) a point, accurate arbitrarily close to a pole.
         """
         return self.modes.evaluate(x)
 

@@ -216,6 +216,10 @@ class DissipativePortHamiltonian(PortHamiltonian):
             terms.append("a structure matrix J of its own")
         return terms + ([f"{sensors} sensor{'s' * (sensors > 1)}"] if sensors else []) or ["room for losses"]
 
+    @property
+    def _spectrum(self) -> ModalForm:
+        return self.modes
+
     def frequency_response(
         self, omega: ArrayLike | None = None, squeeze: bool | None = None
     ) -> ct.FrequencyResponseData:

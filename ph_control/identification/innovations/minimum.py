@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -202,6 +203,16 @@ class Problem:
         return best.point
 
 
+class _WhitenedBins(NamedTuple):
+    """Some bins: Jacobian (bins, p, P), whitening (bins, p, p), what is seen of states, errors (p, bins), counts."""
+
+    J: ComplexArray
+    W: ComplexArray
+    seen: ComplexArray | None
+    errors: ComplexArray
+    counts: Array
+
+
 class LikelihoodEvaluation:
     """The prediction errors of a model, their covariance, and how they depend on its numbers."""
 
@@ -299,8 +310,8 @@ class LikelihoodEvaluation:
         W = solve_triangular(self._root, W.transpose(1, 0, 2).reshape(self.p, -1), lower=True)
         return W.reshape(self.p, len(z), self.p).transpose(1, 0, 2), seen
 
-    def _jacobians(self) -> Iterator[tuple[ComplexArray, ComplexArray, Array]]:
-        """Blocks of bins: errors of covariance 1 (rows,), their Jacobian (rows, P), and what each row counts."""
+    def _blocks(self) -> Iterator[_WhitenedBins]:
+        """Blocks of bins with the derivatives of whitened errors by all numbers."""
         problem, width = self.problem, len(self.problem.vector(self.point))
         for place, (experiment, errors) in enumerate(zip(problem.experiments, self.errors, strict=True)):
             for bins in pieces(len(experiment.z), width * self.p):
@@ -308,9 +319,13 @@ class LikelihoodEvaluation:
                 W, seen = self._whitening(z)
                 J = np.zeros((len(z), self.p, width), complex)
                 self._fill(J, place, bins, z, W, e, seen)
-                rows = solve_triangular(self._root, e, lower=True).T
-                counts = np.repeat(experiment.counts[bins], self.p)
-                yield rows.ravel(), J.reshape(-1, width), counts
+                yield _WhitenedBins(J, W, seen, e, experiment.counts[bins])
+
+    def _jacobians(self) -> Iterator[tuple[ComplexArray, ComplexArray, Array]]:
+        """Blocks of bins: errors of covariance 1 (rows,), their Jacobian (rows, P), and what each row counts."""
+        for block in self._blocks():
+            rows = solve_triangular(self._root, block.errors, lower=True).T
+            yield rows.ravel(), block.J.reshape(-1, block.J.shape[2]), np.repeat(block.counts, self.p)
 
     def expected_slope_of_gains(self, fitted: Indices, among: Array) -> Array:
         """Mean (N, p) of half the gradient by gains, in white noise, where other numbers were fitted.
@@ -318,17 +333,12 @@ class LikelihoodEvaluation:
         The errors of covariance 1 are then of covariance `1 - J G J*` in each bin, with the Jacobian `J` of what was
         fitted and the inverse `G` of its Gram matrix, `among`.
         """
-        total, width = np.zeros((self.point.noise.states, self.p)), len(self.problem.vector(self.point))
-        for place, (experiment, errors) in enumerate(zip(self.problem.experiments, self.errors, strict=True)):
-            for bins in pieces(len(experiment.z), width * self.p):
-                z, e = experiment.z[bins], errors[:, bins]
-                W, seen = self._whitening(z)
-                J = np.zeros((len(z), self.p, width), complex)
-                self._fill(J, place, bins, z, W, e, seen)
-                J = J[:, :, fitted]
-                scatter = np.eye(self.p) - (J @ among) @ J.conj().transpose(0, 2, 1)
-                through = (W @ np.asarray(seen)) * experiment.counts[bins][:, None, None]
-                total -= np.einsum("bin,bim->nm", through.conj(), scatter).real @ self._root.T
+        total = np.zeros((self.point.noise.states, self.p))
+        for block in self._blocks():
+            J = block.J[:, :, fitted]
+            scatter = np.eye(self.p) - (J @ among) @ J.conj().transpose(0, 2, 1)
+            through = (block.W @ np.asarray(block.seen)) * block.counts[:, None, None]
+            total -= np.einsum("bin,bim->nm", through.conj(), scatter).real @ self._root.T
         return total
 
     def _gram_of_noise(self) -> Array:
