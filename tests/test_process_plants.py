@@ -53,6 +53,36 @@ def test_a_lag_is_found_beside_load_noise_of_its_size_and_its_interval_covers():
     assert np.mean(np.square(off)) < 2.5 and np.sum(np.abs(off) < 1.96) >= 2
 
 
+@pytest.mark.parametrize(("late", "seed"), [(15, 0), (30, 1), *slowly((3, 2), (10, 1), (30, 2))])
+def test_a_dead_time_of_many_samples_is_found(late, seed):
+    # its steps repeat before the response to the first has ended; lags and modes stand for it
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([-1.0, 1.0], 40), 20)
+    y = 1.5 * chained(u, (0.95,), late) + 0.03 * rng.standard_normal(len(u))
+    result = phc.pem((u, y), dt=0.1, quantity="free")
+    assert result.states == 1 and np.isclose(result.delay[0], 0.1 * late)
+    assert abs(result.real_poles[0] - np.log(0.95) / 0.1) < 3.5 * result.stderr["real_poles"][0]
+
+
+@pytest.mark.parametrize("late", [12, *slowly(5, 20)])
+def test_the_response_to_a_single_step_shows_its_dead_time(late):
+    # an integrator and a heavily damped mode explain it nearly as well
+    u = np.where((np.arange(300) >= 30) & (np.arange(300) < 150), 10.0, 0.0)
+    y = 60 + 0.9 * chained(u, (0.96,), late) + 0.18 * np.random.default_rng(2).standard_normal(300)
+    result = phc.pem((u, y), dt=2.0, quantity="free")
+    assert result.states == 1 and np.isclose(result.delay[0], 2.0 * late, atol=2.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 3, 5])
+def test_two_lags_and_a_dead_time_are_no_three_lags(seed):
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([-1.0, 1.0], 20), 30)
+    y = 2.0 * chained(u, (0.951, 0.846), 4) + 0.05 * rng.standard_normal(600)
+    result = phc.pem((u, y), dt=0.5, quantity="free")
+    assert result.states == 2 and np.isclose(result.delay[0], 2.0, atol=0.51)
+
+
 @pytest.mark.slow
 def test_a_plant_that_a_noise_model_could_swallow_is_found_with_its_dead_time():
     rng = np.random.default_rng(3)

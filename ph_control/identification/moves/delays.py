@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, Mask
 from ..data.channels import ResponseMatrix
 from ..data.parts import cut
 from ..regression.free import FreeProjection, Lateness
@@ -22,48 +23,82 @@ from .assumptions import Anew, rows_as_in
 MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
 _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _SCANS = 3  # searches with the delays that the last one says
-LONGEST_DELAY = 24  # samples
-_SLOWER = (1.15, 1.3)  # than the slowest of several lags that stand for one that comes late
-_LAGS = 4  # of different rates, with which delays are looked for
+LONGEST_DELAY = 24  # samples, up to which each is tried
+_PER_DECADE = 24  # delays beyond, each a tenth longer than the one before
+_NEAR = 4  # samples, by which a delay may be another for the poles that were found with it
+_LAGS = 6  # of different rates, with which delays are looked for
 _TOGETHER = 64  # outputs of a record, about: products of more of them with one another cost more than they spare
 
 
 def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
-    """Let outputs of a fit come some samples after the inputs, or before, where the modes say so."""
-    best, gain = fit, TUNING.likely
-    for delay in _likely_delays(fit):
-        again = anew(replace(fit.lateness, outputs=delay), fit.offset, None)
-        share = fit.projection.rows / again.projection.rows
-        now = 0.5 * (fit.criteria.bic - again.criteria.bic * share)
-        # fewer lags that leave white residuals are simpler, as the criterion counts; one that is over within a sample
-        # may be a lag as well as a delay
-        simpler = (
-            best is fit and not fit.order and again.states < fit.states and _samples_late(again) > 1
-            and not leaves_traces(again.projection)
-        )  # fmt: skip
-        least = 0.0 if simpler else gain
-        if now > least and _responds(again):
-            best, gain = replace(again, findings=fit.findings, delay_gain=now), now
-            if again.order < fit.order and not leaves_traces(again.projection):
-                break
-    # poles that were found in a wrong delay, or none, say little of the right one
-    tried = {_samples_late(best)}
-    for _ in range(_SCANS * (not best.rounding)):
-        proposed = _scanned_delays(best) - tried
-        if best is not fit and np.any(best.projection.feedthrough):  # what is fed through comes a sample earlier
-            proposed |= {_samples_late(best) - 1} - tried
-        tried, before = tried | proposed, best
-        for samples in sorted(proposed - {-1, 0}):
-            delay = np.full(len(fit.scales), samples * fit.channels[0].dt)
-            again = anew(replace(fit.lateness, outputs=delay), fit.offset, None)
-            now = 0.5 * (fit.criteria.bic - again.criteria.bic * fit.projection.rows / again.projection.rows)
-            # with noise that is modelled a delay is one more parameter; without, what else leaves traces may ask for it
-            each = 0.5 * float(np.log(fit.projection.rows)) if again.noise else TUNING.likely
-            if now > (each if best is fit else gain) and _responds(again):
-                best, gain = replace(again, findings=fit.findings, delay_gain=now), now
+    """Let outputs of a fit come some samples after the inputs, or before, where a search with that is likelier."""
+    best, step = fit, fit.channels[0].dt
+    tried = {_in_samples(fit.delay, step)}
+
+    def likelier(delays: Sequence[Array], poles: ComplexArray | None = None) -> FreeFit:
+        """Return the likeliest of the best fit and those with other delays, searched for or refined from poles."""
+        delays = [delay for delay in delays if _in_samples(delay, step) not in tried]
+        if not delays:
+            return best
+        least, most = float(np.min(delays)), float(np.max(delays))
+        likeliest, gain, before = best, 0.0, bic_within(best, least, most)
+        for delay in delays:
+            samples = _in_samples(delay, step)
+            if samples in tried:
+                continue
+            tried.add(samples)
+            again = anew(replace(fit.lateness, outputs=delay), fit.offset, poles)
+            now = 0.5 * (before - bic_within(again, least, most))
+            if now > (_least_gain(fit, again) if likeliest is fit else gain) and _responds(again):
+                likeliest, gain = replace(again, findings=fit.findings, delay_gain=best.delay_gain + now), now
+                if again.order < fit.order and not leaves_traces(again.projection):
+                    break
+        return likeliest
+
+    for _ in range(_SCANS):
+        # poles that were found in a wrong delay, or none, say little of the right one
+        before, best = best, likelier(_scanned_delays(best) + (_shown_delays(fit) if best is fit else []))
         if best is before:
             break
-    return best
+    if best is fit:
+        return fit
+    near = sorted({*range(-_NEAR, _NEAR + 1)} - {0}, key=abs)
+    return likelier([best.delay + step * samples for samples in near], best.projection.p)
+
+
+def _in_samples(delay: Array, step: float) -> tuple[int, ...]:
+    return tuple(np.rint(delay / step).astype(int).tolist())
+
+
+def _least_gain(fit: FreeFit, again: FreeFit) -> float:
+    """Return the log-likelihood that a delay has to gain over a fit without it.
+
+    Fewer lags that leave white residuals are simpler, as the criterion counts; but one that is over within a sample may
+    be a lag as well as a delay.  With noise that is modelled a delay is one more parameter; without, what else leaves
+    traces may ask for it.
+    """
+    if not fit.order and again.states < fit.states and _samples_late(again) > 1 and not leaves_traces(again.projection):
+        return 0.0
+    return 0.5 * float(np.log(fit.projection.rows)) if again.noise else TUNING.likely
+
+
+def bic_within(fit: FreeFit, least: float, most: float, more: int = 0) -> float:
+    """Return the BIC of a fit, with some more parameters, over the samples that delays between two times leave."""
+    moving = any(rows.moving for rows in fit.projection.experiments)
+    rows = [
+        record.delayed(record.delay_time, least, most) for record in rows_as_in(fit, fit.channels, moving, fit.lateness)
+    ]
+    shown = Records(rows).whitened(fit.noise).data if fit.noise else rows
+    counts = np.zeros(len(fit.scales))
+    for record in shown:
+        counts[record.outputs] += record.samples
+    losses = np.maximum(FreeProjection(shown, fit.projection.p, fit.projection.fed).losses, np.finfo(float).tiny)
+    return (fit.unknowns + more) * float(np.log(counts.sum())) + float(counts @ np.log(losses / counts))
+
+
+def are_heavy(p: ComplexArray) -> Mask:
+    """Return which poles are lags or heavily damped modes, which may stand for a delay."""
+    return -p.real > MIMICS * np.abs(p)
 
 
 def _responds(fit: FreeFit) -> bool:
@@ -71,14 +106,13 @@ def _responds(fit: FreeFit) -> bool:
     return bool(fit.states or np.any(fit.projection.feedthrough))
 
 
-def _likely_delays(fit: FreeFit) -> list[Array]:
-    """Return whole samples, as times, by which outputs may come after the inputs, for the poles there are.
+def _shown_delays(fit: FreeFit) -> list[Array]:
+    """Return whole samples, as times, by which outputs may come after the inputs, where poles leave traces of delays.
 
-    A delay turns the phase of residues; the first samples of a response determine it.  Lags and heavily damped modes
-    can be a rational approximation of it (Pade), which leaves white residuals: they are weighed against a delay without
-    them.  One delay of all outputs, or of each its own; the likeliest first.
+    A delay turns the phase of residues; the first samples of a response determine it.  One delay of all outputs, or of
+    each its own; the likeliest first.
     """
-    if not fit.projection.inputs or not fit.states or isinstance(fit.channels[0], ResponseMatrix):
+    if not fit.projection.inputs or not fit.states or isinstance(fit.channels[0], ResponseMatrix) or fit.noise:
         return []
     some = [cut(recording, slice(0, min(recording.samples, _DELAYS_FROM))) for recording in fit.channels]
     step, count, p = some[0].dt, len(fit.scales), fit.projection.p
@@ -87,27 +121,15 @@ def _likely_delays(fit: FreeFit) -> list[Array]:
         for record in rows_as_in(fit, some, True, _undelayed(fit))
     ]
     delayed = _Delayed.of(records, TUNING.delays, count)
-    if delayed.rows <= 2 * fit.projection.unknowns:
-        return []
-
-    def of_all(samples: list[int]) -> list[Array]:
-        return [np.full(count, step * lag) for lag in samples]
-
-    mimicked = _mimicked_delays(delayed, p)
-    if mimicked:
-        return of_all(mimicked)
-    if not leaves_traces(FreeProjection(records, p)):
+    if delayed.rows <= 2 * fit.projection.unknowns or not leaves_traces(FreeProjection(records, p)):
         return []
     each = dict(zip(TUNING.delays, delayed.losses(p)[0] / delayed.rows, strict=True))
     gains = {delay: -0.5 * fit.projection.rows * float(np.log(loss.sum())) for delay, loss in each.items()}
-    if fit.noise:  # what takes the place of a delay
-        best = max(gains, key=lambda delay: gains[delay])
-        return of_all([best] if best else [])
     # modes too many may stand for most of a delay; one sample more or less is what may be fed through
     likely = {delay for delay, gain in gains.items() if delay > 1 and gain > gains[0] - TUNING.likely}
     likely |= {1} & gains.keys() if likely else set()
     likely = (likely | {max(gains, key=lambda delay: gains[delay])}) - {0}
-    common_delays = of_all(sorted(likely, key=lambda delay: -gains[delay]))
+    common_delays = [np.full(count, step * lag) for lag in sorted(likely, key=lambda delay: -gains[delay])]
     tried = np.array(list(each))
     own = tried[np.argmin(np.stack([each[delay] for delay in tried.tolist()]), axis=0)]
     return [*common_delays, step * own] if np.ptp(own) else common_delays
@@ -163,60 +185,87 @@ def _seen_with(record: FreeRecord, delays: Sequence[int], ends: tuple[int, int],
     return [replace(shifted[0], y=y, outputs=numbers, scale=scale)]
 
 
-def _mimicked_delays(delayed: _Delayed, p: ComplexArray) -> list[int]:
-    """Return samples of the delays that fast lags and heavily damped modes stand for, the likeliest first."""
-
-    def bic(p: ComplexArray) -> Array:
-        losses, unknowns = delayed.losses(p)
-        return np.asarray(np.log(losses.sum(axis=1)) + unknowns * np.log(delayed.rows) / delayed.rows)
-
-    lags = np.sort(p[p.imag == 0])[::-1]  # the slowest first
-    light = p[(-p.real < MIMICS * np.abs(p)) & (p.imag != 0)]
-    kept = [np.concatenate([light, lags[:count]]) for count in range(len(lags) + 1)]
-    kept += [lags[:1] / slower for slower in _SLOWER if len(lags) == len(p)]
-    values = [bic(some) for some in kept if 0 < len(some) < len(p)]
-    if not values:
-        return []
-    likeliest = values[int(np.argmin([value.min() for value in values]))]
-    best, none = TUNING.delays[int(np.argmin(likeliest))], TUNING.delays.index(0)
-    if not best or likeliest.min() >= bic(p)[none]:
-        return []
-    near = ({best - 1, best, best + 1} & set(TUNING.delays)) - {0}  # a sample may be fed through
-    return sorted(near, key=lambda delay: float(likeliest[TUNING.delays.index(delay)]))
-
-
 def _samples_late(fit: FreeFit) -> int:
     """Return the whole samples by which the outputs of a fit come after its inputs."""
     return int(np.rint(np.median(fit.delay) / fit.channels[0].dt))
 
 
-def _scanned_delays(fit: FreeFit) -> set[int]:
-    """Return samples by which outputs may come late, for the poles and the noise there are, or a lag of any rate.
+def _scanned_delays(fit: FreeFit) -> list[Array]:
+    """Return whole samples, as times, by which outputs may come late, for the poles of a fit or a lag of any rate.
 
-    Poles of a fit may stand for a part of a delay, which a lag cannot.  Nothing is looked for where what is left shows
-    nothing of the inputs.
+    Poles may stand for a part of a delay, or for all of it: a lag takes the place of the heavily damped ones,
+    or joins the slowest of them.  Nothing is looked for where there are none, in white noise; nor is told what is far
+    less likely than the fit, though no pole that stays is refined.
     """
-    channels = fit.channels
-    if isinstance(channels[0], ResponseMatrix) or not len(channels[0].input_labels) or fit.rounding or not (
-        fit.noise or (fit.order and np.any(fit.projection.p.imag == 0) and leaves_traces(fit.projection))
-    ):  # fmt: skip
-        return set()
+    channels, p = fit.channels, fit.projection.p
+    if isinstance(channels[0], ResponseMatrix) or not len(channels[0].input_labels) or fit.rounding:
+        return []
+    heavy = are_heavy(p)
+    if not (fit.noise or np.any(heavy)):
+        return []
     some = [cut(recording, slice(0, min(recording.samples, _DELAYS_FROM))) for recording in channels]
     shortest = min(recording.samples for recording in some)
-    most = min(LONGEST_DELAY, shortest // 10)
     records = Records(rows_as_in(fit, some, True, _undelayed(fit)))
     rows = (records.whitened(fit.noise) if fit.noise else records).scaled(1.0 / fit.scales).data
-    delayed = _Delayed.of(rows, range(most + 1), len(fit.scales))
+    lags = np.sort(p[(p.imag == 0) & (p.real < 0)])[::-1]  # the slowest first
+    fewer = len(lags) + 2 * int(np.sum(p[heavy].imag > 0)) - 2  # than there are with the lag that joins
+    beside = [np.concatenate([p[~heavy], lags[:count]]) for count in range(max(min(len(lags), fewer), 0) + 1)]
+    beside += [] if heavy.all() else [p[:0]]
+    rates = np.array([*np.geomspace(4.0 / shortest, 0.5, _LAGS) / channels[0].dt, *-lags.real])
+    scan = _DelayScan(rows, len(fit.scales), p, beside, rates, _samples_late(fit), shortest // 10)
+    likely, far = scan.likeliest(range(min(LONGEST_DELAY, scan.most) + 1)), scan.likeliest(scan.far)
+    if max(far.values()) > max(likely.values()):
+        near = {delay for about in far for delay in range(about - about // 8, about + about // 8 + 1)}
+        likely |= scan.likeliest(sorted(near))
+    return [
+        np.full(len(fit.scales), delay * channels[0].dt)
+        for delay, gain in sorted(likely.items())
+        if gain > -TUNING.likely
+    ]
 
-    def scanned(p: ComplexArray) -> tuple[float, int]:
-        """Return squares that poles leave with the best delay, and this."""
-        losses = delayed.losses(p)[0].sum(axis=1)
-        return float(losses.min()), int(np.argmin(losses))
 
-    p = fit.projection.p
-    rates = [*np.geomspace(20.0 / shortest, 0.5, _LAGS) / channels[0].dt, *-p.real[(p.imag == 0) & (p.real < 0)]]
-    proposed = {min(scanned(np.array([-rate + 0j])) for rate in rates)[1]}
-    return proposed | {scanned(p)[1]} if fit.order else proposed
+@dataclass(frozen=True)
+class _DelayScan:
+    """Delays of records, for the poles of a fit that has some delay, and for a lag of some rates beside some poles."""
+
+    rows: Sequence[FreeRecord]
+    outputs: int
+    p: ComplexArray
+    beside: Sequence[ComplexArray]
+    rates: Array
+    late: int
+    most: int
+
+    @property
+    def far(self) -> list[int]:
+        """Delays in samples beyond those of which each is tried, each a tenth longer than the one before."""
+        longest = max(self.most, LONGEST_DELAY)
+        count = 1 + int(_PER_DECADE * np.log10(longest / LONGEST_DELAY))
+        return sorted({*np.rint(np.geomspace(LONGEST_DELAY, longest, count)).astype(int).tolist()})
+
+    def likeliest(self, delays: Sequence[int]) -> dict[int, float]:
+        """Return the best of some delays for the poles, and for the best lag, with the log-likelihood each gains."""
+        tried = sorted({self.late, *(delay for delay in delays if 0 <= delay <= self.most)})
+        delayed = _Delayed.of(self.rows, tried, self.outputs)
+
+        def scanned(p: ComplexArray) -> Array:
+            losses, unknowns = delayed.losses(p)
+            return np.asarray(0.5 * (delayed.rows * np.log(losses.sum(axis=1)) + unknowns * np.log(delayed.rows)))
+
+        def with_lag(some: ComplexArray, log_rate: float) -> Array:
+            return scanned(np.append(some, -np.exp(log_rate)))
+
+        poles, logs = scanned(self.p), np.log(self.rates)
+        lowest, some, about = min(
+            ((float(with_lag(some, rate).min()), some, rate) for some in self.beside for rate in logs),
+            key=lambda lag: lag[0],
+        )
+        nearest = minimize_scalar(
+            lambda rate: float(with_lag(some, rate).min()), bounds=(about - 1, about + 1), method="bounded",
+            options={"xatol": 0.03},
+        )  # fmt: skip
+        lag, before = with_lag(some, nearest.x if nearest.fun < lowest else about), float(poles[tried.index(self.late)])
+        return {tried[int(np.argmin(scan))]: before - float(scan.min()) for scan in (poles, lag)}
 
 
 def _undelayed(fit: FreeFit) -> Lateness:
@@ -241,7 +290,7 @@ def may_be_late(fit: FreeFit) -> bool:
     p = fit.projection.p
     if fit.beside is not None:
         return errors_leave_traces(fit)
-    if not fit.noise or not len(p) or np.any(-p.real > MIMICS * np.abs(p)):
+    if not fit.noise or not len(p) or np.any(are_heavy(p)):
         return True
     return leaves_traces(fit.projection)
 

@@ -22,7 +22,7 @@ from ..search.criteria import Orders
 from ..search.fitted_modes import FreeFit
 from ..search.path import FreePath
 from .assumptions import Assumptions, Search, alone
-from .delays import may_be_late, on_time
+from .delays import are_heavy, may_be_late, on_time
 from .drifts import beside_drift, with_constants
 from .gain_noise import in_noise_of_the_gain
 from .late_inputs import of_late_inputs, with_dead_times
@@ -95,7 +95,9 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
     open_delay = assumptions.delay is None and may_be_late(forced)
     if forced.beside is not None and forced.beside.is_coloured:
         forced = beside_forces_and_more(forced, fit, in_noise, search, may_be_late=open_delay)
-        return forced if search.automatic or not open_delay else _or_late(forced, fit, search)
+        # modes are told from forces, which may stand for lags that come late
+        lags = assumptions.delay is None and bool(np.all(are_heavy(forced.projection.p)))
+        return _or_late(forced, fit, search) if lags or (open_delay and not search.automatic) else forced
     in_white_noise = _beside_all_else(fit.with_delay_open(open_delay), search)
     return in_white_noise if forced.beside is None else _in_likelier_rows(forced, in_white_noise, in_noise, search)
 
@@ -103,7 +105,7 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
 def _or_late(forced: FreeFit, fit: FreeFit, search: Search) -> FreeFit:
     """Return the fit beside forces, or that of as many modes in white noise with a delay, if it is likelier.
 
-    Of a number of modes that is given none can stand for the delay, and forces may.
+    Of a number of poles that is given none can stand for the delay, and forces may.
     """
     if forced.interrupted:
         return forced

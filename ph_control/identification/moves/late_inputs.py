@@ -15,10 +15,9 @@ from ..regression.tuning import TUNING
 from ..search.channel_rows import Experiments, is_short
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
-from ..search.free_search import Records
 from .assumptions import Anew, Search, rows_as_in
 from .dead_times import DeadTimeScan, numbers_of
-from .delays import LONGEST_DELAY, MIMICS, leaves_traces
+from .delays import LONGEST_DELAY, are_heavy, bic_within, leaves_traces
 
 _MOSTLY = 0.5  # of the squares of outputs: lags that leave more of them say little of dead times
 _SCANS = 3  # searches with the delays that the last one says
@@ -61,7 +60,7 @@ def with_dead_times(fit: FreeFit, anew: Anew, search: Search) -> FreeFit | None:
     Nothing is looked for where what is left shows nothing of the inputs, and no pole could stand for a dead time.
     """
     p = fit.projection.p
-    mimics = -p.real > MIMICS * np.abs(p)
+    mimics = are_heavy(p)
     if fit.rounding or not (fit.noise or mimics.any() or leaves_traces(fit.projection)):
         return None
     proposed = _proposed_dead_times(_of_fit(fit), len(fit.input_delay), p[~mimics]) if not mimics.all() else None
@@ -75,7 +74,8 @@ def _likelier_late(late: FreeFit, on_time: FreeFit) -> FreeFit | None:
     """Return a fit with dead times and findings that say so, where it is likelier than one without; None elsewhere."""
     if on_time.interrupted:
         return replace(late, interrupted=True)
-    gain = 0.5 * (_criterion(on_time) - _criterion(late))
+    longest = _longest_dead_time(_of_fit(late))
+    gain = 0.5 * (_criterion(on_time, longest) - _criterion(late, longest))
     if gain <= TUNING.sure:
         return None
     times = zip(late.channels[0].input_labels, late.input_delay.tolist(), strict=True)
@@ -102,7 +102,8 @@ def _in_best_dead_times(fit: FreeFit, search: Search) -> FreeFit:
             break
         lateness = _lateness_of(fit.channels[0].dt * samples, len(fit.delay))
         again = search.anew(fit)(lateness, fit.offset, p)
-        if _criterion(again) >= _criterion(fit):
+        longest = _longest_dead_time(_of_fit(fit))
+        if _criterion(again, longest) >= _criterion(fit, longest):
             break
         fit = again
     return fit
@@ -171,16 +172,7 @@ def _longest_dead_time(rows: Sequence[FreeRecord]) -> int:
     return min(LONGEST_DELAY, min(record.length for record in rows) // 10)
 
 
-def _criterion(fit: FreeFit) -> float:
+def _criterion(fit: FreeFit, longest: int) -> float:
     """Return the BIC over the samples that the longest dead times leave to all fits, these among the parameters."""
-    rows = rows_as_in(fit, fit.channels, _of_fit(fit)[0].moving, fit.lateness)
-    most = _longest_dead_time(rows) * fit.channels[0].dt - float(fit.input_delay.max(initial=0.0))
-    rows = [row.delayed(row.delay_time, 0.0, most) for row in rows]
-    shown = Records(rows).whitened(fit.noise).data if fit.noise else rows
-    counts = np.zeros(len(fit.scales))
-    for row in shown:
-        counts[row.outputs] += row.samples
-    losses = np.maximum(FreeProjection(shown, fit.projection.p, fit.projection.fed).losses, np.finfo(float).tiny)
-    whole = float(fit.projection.rows)
-    loglik = -0.5 * whole / counts.sum() * float(counts @ np.log(losses / counts))
-    return (fit.unknowns + numbers_of(_dead_samples(fit))) * float(np.log(whole)) - 2 * loglik
+    most = longest * fit.channels[0].dt - float(fit.input_delay.max(initial=0.0))
+    return bic_within(fit, 0.0, most, numbers_of(_dead_samples(fit)))
