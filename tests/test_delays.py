@@ -170,6 +170,20 @@ def test_the_error_of_a_delay_is_what_it_errs_by():
     assert 0.4 < np.mean(np.square(z)) < 1.9
 
 
+def test_a_lag_tells_where_within_a_sample_its_dead_time_is():
+    """A lag of 4 samples, late by 2.6 samples, after steps of its input."""
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.choice([-1.0, 1.0], 15), 20)
+    z = np.exp(-1 / (4 * FINE))
+    fine = lfilter([0.0, 1 - z], [1.0, -z], np.repeat(u, FINE))
+    y = np.append(np.zeros(52), fine)[: len(fine)][::FINE] + 0.02 * rng.standard_normal(len(u))
+    result = phc.pem((u, y), 0, dt=DT, real_poles=1, quantity="free", intersample="zoh")
+    error = result.stderr["delay"][0]
+    assert 0 < error < 0.1 * DT and abs(result.delay[0] - 2.6 * DT) < 3 * error
+    assert abs(result.time_constants[0] - 4 * DT) < 3 * result.stderr["time_constants"][0]
+    assert "(+- " in next(sentence for sentence in result.message.split(". ") if "later than" in sentence)
+
+
 def test_a_response_shows_the_delay_of_a_lossy_plant():
     rng, omega = np.random.default_rng(6), np.linspace(0.4, 7.0, 300)
     response = structure()(1j * omega)[0, 0] * np.exp(-1j * omega * 0.17)

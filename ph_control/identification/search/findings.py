@@ -172,8 +172,11 @@ def _of_hold(finding: Finding, terms: _Terms) -> str:
 def _of_delay(finding: Finding, terms: _Terms) -> str:
     late, error = finding.values
     which = repr(finding.output) if finding.output else "The output"
-    amount = f"{to_its_error(abs(late), error)} {terms.time_unit or 'units of time'}"
-    amount += f" (+- {to_its_error(error, error)})" * (error > 0)
+    unit = terms.time_unit or "units of time"
+    if np.isnan(error):
+        amount = f"{abs(late):.6g} {unit} (known to a sample only)"
+    else:
+        amount = f"{to_its_error(abs(late), error)} {unit}" + f" (+- {to_its_error(error, error)})" * (error > 0)
     return (
         f"{which} comes {amount} {'later' if late > 0 else 'earlier'} than the response to the input "
         f"({_gain(finding)}); the delay is in predictions, and not in system."
