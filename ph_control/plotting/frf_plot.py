@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._display import counted
 from .._options import RESPONSE_INTERPOLATIONS, AxisScale, ResponseInterpolation
 from .._types import Array, ComplexArray, Indices
 from .._units import unit_for
@@ -21,7 +20,7 @@ from ..analysis.spectral_estimate import hold_response, response_matrix_estimate
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics.rational import poles as poles_of
-from .inputs import as_measured, measurements_of, recording_in, table_in, timebase
+from .inputs import as_measured, fit_name, measurements_of, recording_in, table_in, timebase
 from .response_picture import (
     CARTESIAN,
     POLAR,
@@ -284,8 +283,6 @@ def model_source(given: Any) -> ModelSource:
     if hasattr(given, "residues") and hasattr(given, "poles") and not isinstance(given, ModalForm | ct.lti.LTI):
         return _source_of_fractions(given)
     label = "model"
-    if hasattr(given, "observed_system"):
-        label, given = f"fit ({counted(len(given.d), 'mode')})", given.observed_system
     if isinstance(given, ModalForm):
         shape = given.noutputs, given.ninputs
         names = _numbered("output", shape[0]), _numbered("input", shape[1])
@@ -330,9 +327,7 @@ def _source_of_fractions(given: Any) -> ModelSource:
         return as_measured(given, values.T.reshape(*residues.shape[1:], -1) + D[:, :, None], omega)
 
     names = _names_of(given, "output", len(D)), _names_of(given, "input", len(D.T))
-    modes, real = int(pairs.sum()), len(poles) - int(pairs.sum())
-    parts = [counted(modes, "mode")] * bool(modes or not real) + [counted(real, "real pole")] * bool(real)
-    return ModelSource(response, _upper(poles), (len(D), len(D.T)), *names, f"fit ({', '.join(parts)})")
+    return ModelSource(response, _upper(poles), (len(D), len(D.T)), *names, fit_name(poles))
 
 
 def _names_of(given: Any, kind: str, count: int) -> list[str]:
