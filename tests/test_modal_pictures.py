@@ -198,6 +198,20 @@ def test_recordings_are_estimated_together_also_of_roving_hammers_and_sensors():
     assert [len(cell) for cell in plot.lines[::2].ravel()] == [2, 2, 2, 1]  # what was never measured has no dots
 
 
+def test_hits_that_last_beyond_the_end_of_the_recording_are_beneath_the_fit():
+    rng, plant = np.random.default_rng(0), ct.ss(ct.tf([1.0, 0.0, 0.0], [1.0, 0.01, 1.0]))
+    u = np.where(np.arange(300) == 5, 1.0, 0.0)
+    y = ct.forced_response(ct.sample_system(plant, 0.4), 0.4 * np.arange(300), u).outputs
+    y = y + 1e-3 * np.abs(y).max() * rng.standard_normal(300)
+    fit = phc.pem((u, y), 1, dt=0.4, quantity="acceleration", intersample="zoh", initial_state="zero", real_poles=0)
+    curve, dots = phc.frf_plot(fit, Hz=False, omega_limits=[0.5, 2.0]).lines[0, 0]
+    raw = phc.frf_plot(fit, ct.TimeResponseData(0.4 * np.arange(300), y, inputs=u, issiso=True), Hz=False).lines[0, 0]
+    off, raw_off = (
+        np.abs(line.get_ydata() - np.interp(line.get_xdata(), *curve.get_data())) for line in (dots, raw[1])
+    )
+    assert len(off) > 20 and off.max() < 1.0 and raw_off.max() > 3.0  # dB
+
+
 def drawn_around(fit, spread):
     """Models as those that `sample` of a result draws: of residues larger and smaller by the same share."""
     factors = 1 + spread * np.linspace(-1, 1, 101)

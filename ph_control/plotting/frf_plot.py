@@ -16,7 +16,7 @@ from .. import _checks
 from .._options import RESPONSE_INTERPOLATIONS, AxisScale, ResponseInterpolation
 from .._types import Array, ComplexArray, Indices
 from .._units import unit_for
-from ..analysis.spectral_estimate import hold_response, response_matrix_estimate
+from ..analysis.spectral_estimate import hold_response, response_matrix_estimate, rests
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics.rational import poles as poles_of
@@ -152,8 +152,9 @@ def frf_plot(
 
     Responses are estimated from recordings as cross spectra of outputs and inputs over spectra of the inputs (H1), all
     recordings together, and over the response of the hold.  What folds back from beyond the Nyquist frequency of a
-    model in continuous time, and what it feeds through from sample to sample, is taken off first.  Dots of a multiple
-    coherence below one half are pale.
+    model in continuous time, and what it feeds through from sample to sample, is taken off first.  Of the hits that a
+    result was fitted to, dots are its response and the estimate of what it leaves of the outputs: motion that lasts
+    beyond the end of a recording would distort them.  Dots of a multiple coherence below one half are pale.
 
     O((n + K) p m) for K frequencies.
 
@@ -373,7 +374,10 @@ def measured_by(model: Any, data: Any, source: ModelSource, segments: int, inter
         # a model in discrete time answers to samples, whatever is between them
         hold = hold if np.isinf(source.nyquist) else "bandlimited"
         omega, estimate, coherence = response_matrix_estimate(driven, segments, hold)
-        if hold != "bandlimited" and len(omega):
+        unexplained = _left_of_hits(model, recordings) if data is None else []
+        if unexplained:
+            estimate = source.response(omega) + response_matrix_estimate(unexplained, segments, hold)[1]
+        elif hold != "bandlimited" and len(omega):
             estimate = estimate - _folded(source, omega, driven[0][2], hold)
         driven = driven if len(omega) else []
     if driven:
@@ -384,6 +388,20 @@ def measured_by(model: Any, data: Any, source: ModelSource, segments: int, inter
             "leave data out"
         )
     return responses
+
+
+def _left_of_hits(fit: Any, recordings: Sequence[tuple[Array, Array, float]]) -> list[tuple[Array, Array, float]]:
+    """Recordings of hits with what a fit leaves of their outputs; none where the inputs are not those of a hammer.
+
+    Motion that lasts beyond the end of a recording is cut there, and its spectrum without a window is another one; of
+    what the prediction leaves that is no matter.
+    """
+    left = []
+    for experiment, (u, y, step) in zip(fit.experiments, recordings, strict=True):
+        if np.any(u):
+            predicted = np.asarray(experiment.predicted, float).reshape(y.shape)
+            left.append((u, y - np.where(np.isnan(predicted), y, predicted), step))
+    return left if all(rests(u) for u, _, _ in left) else []
 
 
 def _folded(source: ModelSource, omega: Array, step: float, hold: str) -> ComplexArray:
