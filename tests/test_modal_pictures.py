@@ -212,6 +212,16 @@ def test_hits_that_last_beyond_the_end_of_the_recording_are_beneath_the_fit():
     assert len(off) > 20 and off.max() < 1.0 and raw_off.max() > 3.0  # dB
 
 
+def test_a_bode_plot_of_a_fit_to_a_response_is_as_wide_as_this():
+    rng, omega = np.random.default_rng(0), np.geomspace(5.0, 200.0, 60)
+    response = ct.tf([2500.0], [1.0, 3.0, 2500.0])(1j * omega) * (1 + 0.01 * rng.standard_normal(60))
+    fit = phc.pem(ct.frd(response, omega), 1, quantity="free", real_poles=0)
+    np.testing.assert_allclose(phc.bode_plot(fit).axes[0, 0].get_xlim(), [5.0 / 1.1, 200.0 * 1.1])
+    # a system beside it asks for what it has beyond
+    both = phc.bode_plot([fit, ct.tf([1.0], [1e-3, 1.0])])
+    np.testing.assert_allclose(both.axes[0, 0].get_xlim(), [5.0 / 1.1, 2000.0])
+
+
 def drawn_around(fit, spread):
     """Models as those that `sample` of a result draws: of residues larger and smaller by the same share."""
     factors = 1 + spread * np.linspace(-1, 1, 101)
