@@ -507,6 +507,17 @@ def test_sensors_of_a_plate_move_across_it():
     np.testing.assert_allclose(shape.get_ydata() - rest.get_ydata(), [0, up, np.nan, up, -up / 2, np.nan], atol=1e-12)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_frequencies_on_a_nyquist_curve_stand_outside_of_it(sign):
+    plot = phc.nyquist_plot(0.01 + sign * ct.tf([0.02], [0.1, 1.0]), Hz=False, omega_limits=[0.5, 200.0])
+    rings = [text for text in plot.axes[0, 0].texts if text.get_text()]
+    assert [text.get_text() for text in rings] == ["1 rad/time", "10 rad/time", "100 rad/time"]
+    from_centre = np.array([text.xy for text in rings]) - [0.01 + sign * 0.01, 0.0]
+    away = np.array([text.xyann for text in rings])
+    cosines = np.sum(from_centre * away, axis=1) / np.linalg.norm(from_centre, axis=1) / np.linalg.norm(away, axis=1)
+    assert np.all(cosines > 0.95)
+
+
 def test_nyquist_curves_have_the_sign_of_electrochemists_for_impedances_only():
     omega = np.geomspace(0.01, 1e4, 80)
     cell = 0.01 + 0.02 / (1 + 0.5j * omega)

@@ -63,6 +63,9 @@ _DRAWS = 300  # models of a band
 
 _HEIGHTS = 2.8, 5.2  # of a figure, inches
 _MARKED = 10  # decades of frequency, beyond which none is marked
+_OFF = 8.0  # points from a ring to its frequency
+_BESIDE = 0.05  # of the size of a curve: what tells how it bends at a ring
+_ASLANT = 0.38  # sine of the angle from which on a text is beside its ring, or above it
 _MARK: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5.0, "markerfacecolor": "white", "zorder": 4}
 ESTIMATED = "measured (spectral estimate)"
 Parts = Literal["magnitude-phase", "real-imaginary"]
@@ -624,7 +627,7 @@ def _draw_curve(axis: Axes, numbers: DrawnResponses, i: int, j: int, look: Look,
         if not numbers.curves:
             _mark_decades(axis, numbers.axis, curve.omega, x, y, lines[-1].get_color())
     axis.set_aspect("equal", adjustable="datalim")
-    axis.margins(0.1)
+    axis.margins(0.13, 0.1)  # frequencies stand aside
     look.lattice(axis)
     return lines
 
@@ -651,7 +654,27 @@ def _mark_decades(axis: Axes, frequency: FrequencyAxis, omega: Array, x: Array, 
     for power, across, up in zip(powers, *place, strict=True):
         if np.isfinite(across + up) and (last is None or np.hypot(across - last[0], up - last[1]) > 0.1 * reach):
             last = (across, up)
+            aside, above = _outward(x, y, last, _BESIDE * reach)
             axis.annotate(
-                f"{power:g} {frequency.unit_name}", last, (5, 5), textcoords="offset points", fontsize="x-small",
-                color="0.35",
+                f"{power:g} {frequency.unit_name}", last, (_OFF * aside, _OFF * above), textcoords="offset points",
+                fontsize="x-small", color="0.35", ha=_aligned(aside, "right", "left"),
+                va=_aligned(above, "top", "bottom"),
             )  # fmt: skip
+
+
+def _outward(x: Array, y: Array, place: tuple[float, float], near: float) -> tuple[float, float]:
+    """Direction that leads away from a curve at a place of it, to where it does not bend."""
+    known = np.isfinite(x + y)
+    z, here = x[known] + 1j * y[known], complex(*place)
+    k, apart = int(np.argmin(np.abs(z - here))), np.abs(z - here) > near
+    before, after = np.flatnonzero(apart[:k]), k + np.flatnonzero(apart[k:])
+    first, last = z[before[-1] if len(before) else 0], z[after[0] if len(after) else -1]
+    chord = (last - first) / abs(last - first) if last != first else 1.0 + 0.0j
+    side = ((here - first) * np.conj(chord)).imag  # of the chord, left of it positive
+    normal = chord * (1j if side > 0 or (side == 0 and chord.real > 0) else -1j)
+    return float(normal.real), float(normal.imag)
+
+
+def _aligned(part: float, low: str, high: str) -> str:
+    """Which side of a text is next to its place, of the part of its direction along one axis."""
+    return "center" if abs(part) < _ASLANT else high if part > 0 else low
