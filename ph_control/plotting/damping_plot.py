@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from scipy.optimize import linear_sum_assignment
 
 from .. import _checks
-from .._types import Array, ArrayLike
+from .._types import Array, ArrayLike, ComplexArray
 from .._units import unit_for
 from ..controllers.damping_injection import controller_of, damping_injection, plant, port_numbers
 from ..exceptions import StructureError
@@ -154,13 +154,14 @@ def _loci(sys: PortHamiltonian, gain: Any, ports: Any, scale: Array) -> tuple[An
     return paths[0], paths[np.searchsorted(every, 1.0)], paths[np.isin(every, scale)]
 
 
-def _upper_together(paths: Array) -> Array:
+def _upper_together(paths: ComplexArray) -> ComplexArray:
     """Exchange conjugates from where a pair oscillates again, so that its upper pole stays in one column."""
     upper = np.zeros(paths.shape[1])
     for k, row in enumerate(paths):
         for column in np.flatnonzero((row.imag < 0) & (upper > 0)):
             twin = int(np.argmin(np.abs(row - row[column].conj())))
             if upper[twin] <= 0:
-                paths[k:, [column, twin]] = paths[k:, [twin, column]]
+                pair = np.array([column, twin])
+                paths[k:, pair] = paths[k:, pair[::-1]]
         upper = np.where(paths[k].imag == 0, upper, np.sign(paths[k].imag))
     return paths
