@@ -192,6 +192,11 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
+def counted_poles(modes: int, real: int) -> list[str]:
+    """Numbers of modes and of real poles, of which there are some."""
+    return [counted(modes, "mode")] * bool(modes or not real) + [counted(real, "real pole")] * bool(real)
+
+
 def p_value(p: float) -> str:
     """Text of a p-value; never 0."""
     if np.isnan(p):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import control as ct
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -132,6 +133,19 @@ def test_where_the_data_cannot_tell_the_input_counts_as_held():
     y = phc.forced_response(plant, np.arange(1500), u, intersample="foh").outputs + rng.standard_normal(1500)
     result = phc.pem((u, y), 1, dt=1.0)
     assert result.intersample == "zoh" and "HOLD" not in causes(result)
+
+
+def test_a_hold_that_the_likelihood_does_not_tell_is_called_undecided():
+    # with what is fed through, an input that is held and one that is linear are the same model
+    rng = np.random.default_rng(0)
+    u = np.convolve(np.repeat(rng.choice([-1.0, 1.0], 20), 10), np.ones(5) / 5)[:200]
+    pendulum = ct.tf([1.0, 0.0, 0.0], [1.0, 0.06, 1.0])
+    y = phc.forced_response(pendulum, 0.2 * np.arange(200), u, intersample="foh").outputs
+    y = y + 0.02 * np.std(y) * rng.standard_normal(200)
+    result = phc.pem((u, y), 1, dt=0.2, quantity="free", real_poles=0)
+    assert abs(causes(result)["HOLD"].gain) < 1e-6
+    assert "does not tell whether the input between samples was held or linear" in result.message
+    assert "over the other" not in result.message
 
 
 def test_the_table_of_orders_takes_the_hold_of_the_data_too():

@@ -407,7 +407,7 @@ def test_damping_plot_shows_the_loop_at_each_factor():
     plot = found.plot(factors=[0.5, 1.0, 2.0], Hz=True, time_unit="s")
     drawn = np.array([line.get_ydata()[1] for line in plot.lines[0, 0]])
     zeta = 100 * found.system.damping_ratios
-    np.testing.assert_allclose(np.sort(drawn[~np.isnan(drawn)]), np.sort(zeta[zeta < 100]), rtol=1e-9)
+    np.testing.assert_allclose(np.sort(drawn[drawn < 100]), np.sort(zeta[zeta < 100]), rtol=1e-9)
     assert plot.axes[0, 1].get_xlabel() == "Natural frequency [Hz]"
     plt.close(plot.figure)
     with pytest.raises(phc.StructureError, match="ascend"):
@@ -421,12 +421,27 @@ def test_a_mode_that_a_gyroscopic_gain_makes_oscillate_has_no_mark_before():
     assert np.all(np.linalg.eigvals(plant.A - 1e-3 * plant.B @ turn @ plant.B.T @ Q).imag == 0)
     p = np.linalg.eigvals(plant.A - plant.B @ turn @ plant.B.T @ Q)
     marks = [
-        (line.get_marker(), *line.get_xydata()[0]) for line in plot.axes[0, 1].lines if line.get_marker() != "None"
+        (line.get_marker(), *line.get_xydata()[0])
+        for line in plot.axes[0, 1].lines
+        if line.get_marker() != "None" and len(line.get_xdata())
     ]
     right = sorted(("o", abs(x), -100 * x.real / abs(x)) for x in p if x.imag > 0)
     assert [mark[0] for mark in marks] == ["o"] * len(right) and right
     np.testing.assert_allclose([mark[1:] for mark in sorted(marks)], [mark[1:] for mark in right], rtol=1e-9)
     plt.close(plot.figure)
+
+
+def test_a_mode_that_ceases_to_oscillate_is_drawn_without_a_gap():
+    factors = np.geomspace(1e-2, 1e2, 21)
+    plot = phc.damping_plot(phc.spring_chain([1.0, 1.0], [2.0], ground=1.0), 1.0, factors=factors)
+    zeta, (size, beside) = plot.lines[0, 0][0].get_ydata(), plot.lines[0, 1][0].get_data()
+    assert np.all(np.isfinite(zeta)) and zeta[0] < 1 and zeta[-1] == 100
+    critical = np.argmax(beside == 100)  # straight up, where it still oscillates
+    assert size[critical] == size[critical - 1] and plot.axes[0, 1].get_xscale() == "linear"
+    wide = phc.damping_plot(phc.spring_chain([1.0, 1e-3], [2.0], ground=1.0), 1e-3, factors=factors)
+    assert wide.axes[0, 1].get_xscale() == "log"
+    for picture in (plot, wide):
+        plt.close(picture.figure)
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Outputs that come later than the response to the inputs, by whole samples or parts of them."""
 
 import control as ct
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -168,6 +169,36 @@ def test_the_error_of_a_delay_is_what_it_errs_by():
         assert result.structure == "classical"
         z.append((result.delay[0] - delay * DT) / result.stderr["delay"][0])
     assert 0.4 < np.mean(np.square(z)) < 1.9
+
+
+@pytest.fixture(scope="module")
+def late_lag():
+    """Fit of a lag of 4 samples, late by 2.6 samples, after steps of its input."""
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.choice([-1.0, 1.0], 15), 20)
+    z = np.exp(-1 / (4 * FINE))
+    fine = lfilter([0.0, 1 - z], [1.0, -z], np.repeat(u, FINE))
+    y = np.append(np.zeros(52), fine)[: len(fine)][::FINE] + 0.02 * rng.standard_normal(len(u))
+    return phc.pem((u, y), 0, dt=DT, real_poles=1, quantity="free", intersample="zoh")
+
+
+def test_a_lag_tells_where_within_a_sample_its_dead_time_is(late_lag):
+    error = late_lag.stderr["delay"][0]
+    assert 0 < error < 0.1 * DT and abs(late_lag.delay[0] - 2.6 * DT) < 3 * error
+    assert abs(late_lag.time_constants[0] - 4 * DT) < 3 * late_lag.stderr["time_constants"][0]
+    assert "(+- " in next(sentence for sentence in late_lag.message.split(". ") if "later than" in sentence)
+
+
+def test_a_step_is_drawn_with_the_dead_time_and_the_poles_are_named(late_lag):
+    plot = phc.step_plot(late_lag, confidence=True)
+    t, y = plot.lines[0, 0][0].get_data()
+    after = np.maximum(t - late_lag.delay[0], 0.0)
+    gain = float(ct.dcgain(late_lag.system))
+    np.testing.assert_allclose(y, gain * -np.expm1(-after / late_lag.time_constants[0]), atol=1e-6)
+    assert plot.axes[0, 0].get_legend_handles_labels()[1][0] == "fit (1 real pole)"
+    plt.close(plot.figure)
+    band = late_lag.sample(50, 0).step_band([0.99 * late_lag.delay[0], 1.5 * late_lag.delay[0]])
+    assert np.all(band[:, 0] == 0) and np.all(band[:, 1] > 0)
 
 
 def test_a_response_shows_the_delay_of_a_lossy_plant():

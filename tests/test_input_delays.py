@@ -100,7 +100,7 @@ def test_dead_times_are_found_beside_a_mode():
 def test_inputs_that_act_together_have_no_dead_times_of_their_own(dead):
     result = phc.pem(recorded(5, np.array(dead)), 0, dt=DT, real_poles=2)
     np.testing.assert_array_equal(result.input_delay, 0.0)
-    np.testing.assert_allclose(result.delay, DT * dead[0])
+    assert np.all(np.abs(result.delay - DT * dead[0]) <= 3 * result.stderr["delay"])
 
 
 def test_a_second_lag_is_no_dead_time():

@@ -198,6 +198,30 @@ def test_recordings_are_estimated_together_also_of_roving_hammers_and_sensors():
     assert [len(cell) for cell in plot.lines[::2].ravel()] == [2, 2, 2, 1]  # what was never measured has no dots
 
 
+def test_hits_that_last_beyond_the_end_of_the_recording_are_beneath_the_fit():
+    rng, plant = np.random.default_rng(0), ct.ss(ct.tf([1.0, 0.0, 0.0], [1.0, 0.01, 1.0]))
+    u = np.where(np.arange(300) == 5, 1.0, 0.0)
+    y = ct.forced_response(ct.sample_system(plant, 0.4), 0.4 * np.arange(300), u).outputs
+    y = y + 1e-3 * np.abs(y).max() * rng.standard_normal(300)
+    fit = phc.pem((u, y), 1, dt=0.4, quantity="acceleration", intersample="zoh", initial_state="zero", real_poles=0)
+    curve, dots = phc.frf_plot(fit, Hz=False, omega_limits=[0.5, 2.0]).lines[0, 0]
+    raw = phc.frf_plot(fit, ct.TimeResponseData(0.4 * np.arange(300), y, inputs=u, issiso=True), Hz=False).lines[0, 0]
+    off, raw_off = (
+        np.abs(line.get_ydata() - np.interp(line.get_xdata(), *curve.get_data())) for line in (dots, raw[1])
+    )
+    assert len(off) > 20 and off.max() < 1.0 and raw_off.max() > 3.0  # dB
+
+
+def test_a_bode_plot_of_a_fit_to_a_response_is_as_wide_as_this():
+    rng, omega = np.random.default_rng(0), np.geomspace(5.0, 200.0, 60)
+    response = ct.tf([2500.0], [1.0, 3.0, 2500.0])(1j * omega) * (1 + 0.01 * rng.standard_normal(60))
+    fit = phc.pem(ct.frd(response, omega), 1, quantity="free", real_poles=0)
+    np.testing.assert_allclose(phc.bode_plot(fit).axes[0, 0].get_xlim(), [5.0 / 1.1, 200.0 * 1.1])
+    # a system beside it asks for what it has beyond
+    both = phc.bode_plot([fit, ct.tf([1.0], [1e-3, 1.0])])
+    np.testing.assert_allclose(both.axes[0, 0].get_xlim(), [5.0 / 1.1, 2000.0])
+
+
 def drawn_around(fit, spread):
     """Models as those that `sample` of a result draws: of residues larger and smaller by the same share."""
     factors = 1 + spread * np.linspace(-1, 1, 101)
@@ -481,6 +505,17 @@ def test_sensors_of_a_plate_move_across_it():
     assert np.nanmax(np.abs(shape.get_xdata() - rest.get_xdata())) < 1e-12
     up = np.cos(np.radians(25.0)) / 7
     np.testing.assert_allclose(shape.get_ydata() - rest.get_ydata(), [0, up, np.nan, up, -up / 2, np.nan], atol=1e-12)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_frequencies_on_a_nyquist_curve_stand_outside_of_it(sign):
+    plot = phc.nyquist_plot(0.01 + sign * ct.tf([0.02], [0.1, 1.0]), Hz=False, omega_limits=[0.5, 200.0])
+    rings = [text for text in plot.axes[0, 0].texts if text.get_text()]
+    assert [text.get_text() for text in rings] == ["1 rad/time", "10 rad/time", "100 rad/time"]
+    from_centre = np.array([text.xy for text in rings]) - [0.01 + sign * 0.01, 0.0]
+    away = np.array([text.xyann for text in rings])
+    cosines = np.sum(from_centre * away, axis=1) / np.linalg.norm(from_centre, axis=1) / np.linalg.norm(away, axis=1)
+    assert np.all(cosines > 0.95)
 
 
 def test_nyquist_curves_have_the_sign_of_electrochemists_for_impedances_only():

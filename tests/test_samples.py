@@ -482,10 +482,10 @@ def test_responses_of_any_poles_are_sums_over_poles_and_their_conjugates(delay):
     turns = (draws.phase_band(w)[0] - np.degrees(np.angle(expected))) / 360
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-14)
     moved = np.exp(every * t[:, None])
-    np.testing.assert_allclose(draws.impulse_band(t)[0], (moved @ weights).real, rtol=1e-13)
+    np.testing.assert_allclose(draws.impulse_band(t + delay)[0], (moved @ weights).real, rtol=1e-13)
     # the pole at 0 integrates the step
     integral = (moved - 1)[:, every != 0] @ (weights / np.where(every == 0, 1, every))[every != 0] + 0.2 * t
-    np.testing.assert_allclose(draws.step_band(t)[0], integral.real + 0.4, rtol=1e-13)
+    np.testing.assert_allclose(draws.step_band(t + delay)[0], integral.real + 0.4, rtol=1e-13)
 
 
 def test_equal_frequencies_are_one_mode_with_the_sum_of_the_weights():

@@ -101,9 +101,19 @@ def test_the_code_for_scipy_gives_the_matrices_back(seed, n, m, p):
 
 def test_names_cannot_break_out_of_the_code():
     sys, made = random_system(0, 2, 1, 1), {}
-    sys.name = "a\nraise SystemExit"
+    sys.input_labels = ["a\nraise SystemExit"]
     exec(phc.to_python(sys), made)
     assert made["plant"].A.shape == (2, 2)
+
+
+@pytest.mark.parametrize("unit, period", [("s", "0.1 s:"), (None, "0.1 (in the unit of time of the system):")])
+def test_the_heading_has_the_name_that_is_given_and_the_unit_of_time(unit, period):
+    sys = random_system(0, 1, 1, 2)
+    sys.time_unit = unit
+    heading = phc.to_c(sys, "law").splitlines()
+    assert heading[0] == "/* law: 1 state, 1 input, 2 outputs"
+    assert heading[2].endswith(f"Call law_step once in each period of {period}")
+    assert phc.to_python(sys, "law").startswith("# law: inputs")
 
 
 @pytest.mark.parametrize("function", [phc.to_c, phc.to_python])

@@ -10,6 +10,7 @@ import control as ct
 import numpy as np
 
 from .. import _checks
+from .._display import counted
 from .._types import Array
 from ..exceptions import StructureError
 
@@ -24,7 +25,7 @@ _ACROSS = 3  # numbers in a line
 _C_CODE = """\
 /* {title}
  *
- * Call {name}_step once in each period of {step} {unit}:
+ * Call {name}_step once in each period of {period}:
  *     y = C x + D u;   x = A x + B u
  * x[{states}] is the state, 0 at the start; u[{inputs}] are the inputs and y[{outputs}] the outputs of this sample.
  * x, u and y are different arrays. Inputs:{input_names}. Outputs:{output_names}.
@@ -100,6 +101,8 @@ def to_c(sys: ct.StateSpace, name: str = "plant") -> str:
     >>> import numpy as np, ph_control as phc
     >>> oscillator = phc.sample(phc.ph(np.eye(2), [0.0, 1.0]), 0.1)
     >>> code = phc.to_c(oscillator, "oscillator")
+    >>> print(code.splitlines()[0])
+    /* oscillator: 2 states, 1 input, 1 output
     >>> [line for line in code.splitlines() if line.startswith("void")]
     ['void oscillator_step(OSCILLATOR_REAL *x, const OSCILLATOR_REAL *u, OSCILLATOR_REAL *y)']
     """
@@ -119,11 +122,13 @@ def to_c(sys: ct.StateSpace, name: str = "plant") -> str:
         body = f"    {name.upper()}_REAL next[{n}];\n" + body + _STATE_LOOP.format(**words)
     else:
         body = "    (void)x;\n" + body
+    sizes = (counted(number, noun) for number, noun in ((n, "state"), (m, "input"), (p, "output")))
+    unit = getattr(sys, "time_unit", None)
     return _C_CODE.format(
-        **words, title=_in_comment(f"{plant.name}: {n} states, {m} inputs, {p} outputs"), step=repr(float(plant.dt)),
-        unit=getattr(sys, "time_unit", None) or "units of time", input_names=_names(plant.input_labels),
-        output_names=_names(plant.output_labels), output_rows=_c_rows(np.hstack([plant.C, plant.D])),
-        state_table=table, body=body,
+        **words, title=f"{name}: {', '.join(sizes)}",
+        period=f"{float(plant.dt)!r} " + (_in_comment(unit) if unit else "(in the unit of time of the system)"),
+        input_names=_names(plant.input_labels), output_names=_names(plant.output_labels),
+        output_rows=_c_rows(np.hstack([plant.C, plant.D])), state_table=table, body=body,
     )  # fmt: skip
 
 
@@ -176,7 +181,7 @@ def to_python(sys: ct.StateSpace, name: str = "plant") -> str:
     ]
     inputs, outputs = _names(plant.input_labels), _names(plant.output_labels)
     head = [
-        f"# {_in_line(plant.name)}: inputs{inputs}; outputs{outputs}",
+        f"# {name}: inputs{inputs}; outputs{outputs}",
         "import numpy as np", "from scipy import signal", "",
     ]  # fmt: skip
     foot = [f"{name} = signal.StateSpace(A, B, C, D, dt={float(plant.dt)!r})", ""]

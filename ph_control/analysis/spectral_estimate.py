@@ -228,7 +228,7 @@ def response_matrix_estimate(
     if len(steps) > 1:
         raise StructureError(f"the records have steps {', '.join(f'{step:g}' for step in sorted(steps))}; expected one")
     step, shortest = steps.pop(), min(u.shape[1] for u, _, _ in records)
-    impact = all(_rests(u) for u, _, _ in records)
+    impact = all(rests(u) for u, _, _ in records)
     length = shortest if impact else _segment_length(shortest, segments)
     gap = length if impact else length // 2
     places = [(u, y, range(0, u.shape[1] - length + 1, gap)) for u, y, _ in records]
@@ -263,7 +263,7 @@ def _estimate(
     return omega, np.moveaxis(response, 0, -1), coherence.T
 
 
-def _rests(u: Array) -> bool:
+def rests(u: Array) -> bool:
     """Whether the inputs are at rest for nine tenths of a record."""
     return bool(np.mean((np.abs(u) > 0.01 * np.max(np.abs(u))).any(axis=0)) < 0.1)
 

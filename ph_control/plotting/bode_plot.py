@@ -21,7 +21,17 @@ from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
 from ..numerics.rational import poles as poles_of
 from ..systems.base import in_normal_form
-from .inputs import Subject, as_measured, is_fit, models_around, subjects_of, timebase, title_of
+from .inputs import (
+    Subject,
+    as_measured,
+    is_fit,
+    measurements_of,
+    models_around,
+    subjects_of,
+    table_in,
+    timebase,
+    title_of,
+)
 from .response_picture import (
     LIMIT,
     POLAR,
@@ -83,7 +93,7 @@ def bode_plot(
     sysdata : system, or list of systems
         `PortHamiltonian`, `ModalForm`, any other LTI system of python-control, `control.FrequencyResponseData`; a
         `PEMResult` stands for the response of the quantity that was measured: that of its `observed_system`, on the
-        `background` of a fit to a response.
+        `background` of a fit to a response, and over the frequencies of this.
     omega : array_like, shape (N,), optional
         Angular frequencies, rad per unit time, ascending and positive; two of them are limits.  By default every pole
         and zero of the systems is resolved.
@@ -263,8 +273,9 @@ def bode_data(
     first = subjects[0].system
     models = models_around(confidence, subjects, "magnitude_band", "phase_band")
     measured = _measurement(data, first, segments, intersample, data_label)
-    extents = np.concatenate([_extent(subject.system, measured) for subject in subjects])
-    grid, low, high = _frequencies(extents, measured, omega, omega_limits, unit)
+    known = _known_band(measured, subjects)
+    extents = np.concatenate([_extent(subject.system, known) for subject in subjects])
+    grid, low, high = _frequencies(extents, known, omega, omega_limits, unit)
     axis = FrequencyAxis(low, high, unit, unit_name, is_logarithmic(scale, low, high))
     curves = [_curve(subject, grid, low, high, omega_num) for subject in subjects]
     for k, (curve, drawn) in enumerate(zip(curves, models, strict=True)):
@@ -343,12 +354,23 @@ def _nyquist(sys: Any) -> float | None:
 # --- frequency axes --------------------------------------------------------------------------------------------------
 
 
+def _known_band(measured: Curve | None, subjects: list[Subject]) -> tuple[float, float] | None:
+    """Ends of a measurement, or else of the responses that fits were made to; None of neither."""
+    if measured is not None:
+        return float(measured.omega[0]), float(measured.omega[-1] if measured.nyquist is None else measured.nyquist)
+    fits = [subject.given for subject in subjects if is_fit(subject.given)]
+    tables = [table_in(record) for fit in fits for record in measurements_of(fit, None)]
+    bands = [omega[omega > 0] for omega, _ in filter(None, tables)]
+    ends = np.concatenate([band[[0, -1]] for band in bands if len(band)] or [np.zeros(0)])
+    return (float(ends.min()), float(ends.max())) if len(ends) else None
+
+
 def _frequencies(
-    extents: Array, measured: Curve | None, omega: Any, omega_limits: Any, unit: float
+    extents: Array, known: tuple[float, float] | None, omega: Any, omega_limits: Any, unit: float
 ) -> tuple[Array | None, float, float]:
     """Frequencies asked for, if any, and the ends of the axis, all in rad per unit time."""
     given = None if omega is None else _ascending("omega", omega)
-    ends = _default_limits(extents, measured, unit) if given is None else given[[0, -1]]
+    ends = _default_limits(extents, known, unit) if given is None else given[[0, -1]]
     if omega_limits is not None:
         ends = _ascending("omega_limits", omega_limits) * unit
         if len(ends) != 2:
@@ -367,12 +389,12 @@ def _ascending(name: str, value: Any) -> Array:
     return array
 
 
-def _default_limits(extents: Array, measured: Curve | None, unit: float) -> Array:
+def _default_limits(extents: Array, known: tuple[float, float] | None, unit: float) -> Array:
     """Full decades that hold all systems, 0.1 to 10 for none; with a measurement what it covers and they need."""
-    if measured is not None:
-        top = measured.omega[-1] if measured.nyquist is None else measured.nyquist
-        margin = min(1.1, (top / measured.omega[0]) ** 0.05) if top > measured.omega[0] else 1.1
-        everything = np.concatenate([extents, [measured.omega[0] / margin, top * margin]])
+    if known is not None:
+        first, top = known
+        margin = min(1.1, (top / first) ** 0.05) if top > first else 1.1
+        everything = np.concatenate([extents, [first / margin, top * margin]])
         return np.array([everything.min(), everything.max()])
     if not len(extents):
         return np.array([0.1, 10.0]) * unit
@@ -382,7 +404,7 @@ def _default_limits(extents: Array, measured: Curve | None, unit: float) -> Arra
     return 10.0 ** np.array([low, high]) * unit
 
 
-def _extent(sys: Any, measured: Curve | None) -> Array:
+def _extent(sys: Any, known: tuple[float, float] | None) -> Array:
     """Ends of what the picture must show: twice as far as the poles and zeros are, or as far as tabulated data are.
 
     Poles and zeros within a measurement ask for no more than it covers.
@@ -393,8 +415,8 @@ def _extent(sys: Any, measured: Curve | None) -> Array:
     if not len(marks):
         return marks
     ends, wider = marks[[0, -1]], np.array([0.5, 2.0])
-    if measured is not None:
-        beyond = [ends[0] < measured.omega[0], ends[1] > measured.omega[-1]]
+    if known is not None:
+        beyond = [ends[0] < known[0], ends[1] > known[1]]
         wider = np.where(beyond, wider, 1.0)
     return np.asarray(ends * wider, float)
 

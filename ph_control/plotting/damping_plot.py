@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
+from matplotlib.axes import Axes
 from scipy.optimize import linear_sum_assignment
 
 from .. import _checks
-from .._types import Array, ArrayLike
+from .._types import Array, ArrayLike, ComplexArray
 from .._units import unit_for
 from ..controllers.damping_injection import controller_of, damping_injection, plant, port_numbers
 from ..exceptions import StructureError
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 _FACTORS = np.geomspace(1e-2, 1e2, 161)
 _NAMED = 10  # modes that a legend names
+_WIDE = 10.0  # ratio of natural frequencies beyond which their axis is logarithmic
 _START: dict[str, Any] = {"linestyle": "none", "marker": "x", "markersize": 6.0, "zorder": 3, "clip_on": False}
 _CHOSEN: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5.0, "zorder": 4, "clip_on": False}
 
@@ -74,7 +76,8 @@ def damping_plot(
 
     Notes
     -----
-    Modes are followed from factor to factor by the nearest pole.  What oscillates nowhere is left out.
+    Modes are followed from factor to factor by the nearest pole.  What oscillates nowhere is left out, and a mode that
+    ceases to oscillate runs at 100 %: of its two real poles one is followed.
 
     Examples
     --------
@@ -100,11 +103,11 @@ def damping_plot(
         ratio_axis, right = drawn.axes[0]
         drawn.lines[0, :] = [[], []]
         for k, column in enumerate(moving):
-            p = np.where(paths[:, column].imag > 0, paths[:, column], np.nan)
+            p = np.where((paths[:, column].imag >= 0) & (paths[:, column] != 0), paths[:, column], np.nan)
             size, zeta = np.abs(p) / unit, -100 * p.real / np.abs(p)
             line = {**look.curve(k), "label": f"mode {k + 1}" if len(moving) <= _NAMED else None}
             drawn.lines[0, 0] += ratio_axis.semilogx(scale, zeta, **line)
-            drawn.lines[0, 1] += right.plot(size, zeta, **{**line, "label": None})
+            drawn.lines[0, 1] += right.plot(*_up_to_critical(size, zeta), **{**line, "label": None})
             color = drawn.lines[0, 1][-1].get_color()
             for pole, mark in ((first[column], _START), (at_one[column], _CHOSEN)):
                 if pole.imag > 0:
@@ -112,11 +115,32 @@ def damping_plot(
         ratio_axis.axvline(1.0, color="0.5", linewidth=0.8, linestyle="--")
         ratio_axis.set(xlabel="Factor of the controller", ylabel="Damping ratio [%]", ylim=(0, None))
         right.set(xlabel=labelled("Natural frequency", unit_name), ylabel="Damping ratio [%]", ylim=(0, None))
-        right.set_xlim(0, None)
+        _frequency_range(right, np.abs(paths[paths.imag > 0]) / unit)
+        for factor, mark in ((scale[0], _START), (1.0, _CHOSEN)):
+            right.plot([], [], color="0.4", label=f"factor {factor:g}", **mark | {"clip_on": True})
         for axis in (ratio_axis, right):
             look.lattice(axis)
+        look.legend(right)
         title = title_of("Damping", subjects_of(sys, None), False)
         return drawn.finished(f"{title} over the gain", look.legend(ratio_axis))
+
+
+def _up_to_critical(size: Array, zeta: Array) -> tuple[Array, Array]:
+    """Frequencies and damping ratios with a point of 100 % where a mode ceases to oscillate, or begins to."""
+    real = zeta == 100
+    ends = np.flatnonzero(real[1:] != real[:-1]) + 1
+    last = np.where(real[ends], size[ends - 1], size[ends])  # where it still oscillates
+    return np.insert(size, ends, last), np.insert(zeta, ends, 100.0)
+
+
+def _frequency_range(axis: Axes, sizes: Array) -> None:
+    """Ends of the axis about all that oscillates, beyond a decade of it on a logarithmic scale."""
+    low, high = float(sizes.min(initial=np.inf)), float(sizes.max(initial=0.0))
+    if high > _WIDE * low > 0:
+        axis.set_xscale("log")
+        axis.set_xlim(low / 1.25, 1.25 * high)
+    else:
+        axis.set_xlim(0, 1.05 * high or None)
 
 
 def _loci(sys: PortHamiltonian, gain: Any, ports: Any, scale: Array) -> tuple[Any, Any, Any]:
@@ -126,5 +150,18 @@ def _loci(sys: PortHamiltonian, gain: Any, ports: Any, scale: Array) -> tuple[An
     for k in range(1, len(rows)):
         distance = np.abs(rows[k - 1][:, None] - rows[k])
         rows[k] = rows[k][linear_sum_assignment(distance)[1]]
-    paths = np.array(rows)
+    paths = _upper_together(np.array(rows))
     return paths[0], paths[np.searchsorted(every, 1.0)], paths[np.isin(every, scale)]
+
+
+def _upper_together(paths: ComplexArray) -> ComplexArray:
+    """Exchange conjugates from where a pair oscillates again, so that its upper pole stays in one column."""
+    upper = np.zeros(paths.shape[1])
+    for k, row in enumerate(paths):
+        for column in np.flatnonzero((row.imag < 0) & (upper > 0)):
+            twin = int(np.argmin(np.abs(row - row[column].conj())))
+            if upper[twin] <= 0:
+                pair = np.array([column, twin])
+                paths[k:, pair] = paths[k:, pair[::-1]]
+        upper = np.where(paths[k].imag == 0, upper, np.sign(paths[k].imag))
+    return paths

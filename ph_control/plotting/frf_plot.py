@@ -13,15 +13,14 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._display import counted
 from .._options import RESPONSE_INTERPOLATIONS, AxisScale, ResponseInterpolation
 from .._types import Array, ComplexArray, Indices
 from .._units import unit_for
-from ..analysis.spectral_estimate import hold_response, response_matrix_estimate
+from ..analysis.spectral_estimate import hold_response, response_matrix_estimate, rests
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics.rational import poles as poles_of
-from .inputs import as_measured, measurements_of, recording_in, table_in, timebase
+from .inputs import as_measured, fit_name, measurements_of, recording_in, table_in, timebase
 from .response_picture import (
     CARTESIAN,
     POLAR,
@@ -64,6 +63,9 @@ _DRAWS = 300  # models of a band
 
 _HEIGHTS = 2.8, 5.2  # of a figure, inches
 _MARKED = 10  # decades of frequency, beyond which none is marked
+_OFF = 8.0  # points from a ring to its frequency
+_BESIDE = 0.05  # of the size of a curve: what tells how it bends at a ring
+_ASLANT = 0.38  # sine of the angle from which on a text is beside its ring, or above it
 _MARK: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5.0, "markerfacecolor": "white", "zorder": 4}
 ESTIMATED = "measured (spectral estimate)"
 Parts = Literal["magnitude-phase", "real-imaginary"]
@@ -153,8 +155,9 @@ def frf_plot(
 
     Responses are estimated from recordings as cross spectra of outputs and inputs over spectra of the inputs (H1), all
     recordings together, and over the response of the hold.  What folds back from beyond the Nyquist frequency of a
-    model in continuous time, and what it feeds through from sample to sample, is taken off first.  Dots of a multiple
-    coherence below one half are pale.
+    model in continuous time, and what it feeds through from sample to sample, is taken off first.  Of the hits that a
+    result was fitted to, dots are its response and the estimate of what it leaves of the outputs: motion that lasts
+    beyond the end of a recording would distort them.  Dots of a multiple coherence below one half are pale.
 
     O((n + K) p m) for K frequencies.
 
@@ -284,8 +287,6 @@ def model_source(given: Any) -> ModelSource:
     if hasattr(given, "residues") and hasattr(given, "poles") and not isinstance(given, ModalForm | ct.lti.LTI):
         return _source_of_fractions(given)
     label = "model"
-    if hasattr(given, "observed_system"):
-        label, given = f"fit ({counted(len(given.d), 'mode')})", given.observed_system
     if isinstance(given, ModalForm):
         shape = given.noutputs, given.ninputs
         names = _numbered("output", shape[0]), _numbered("input", shape[1])
@@ -330,9 +331,7 @@ def _source_of_fractions(given: Any) -> ModelSource:
         return as_measured(given, values.T.reshape(*residues.shape[1:], -1) + D[:, :, None], omega)
 
     names = _names_of(given, "output", len(D)), _names_of(given, "input", len(D.T))
-    modes, real = int(pairs.sum()), len(poles) - int(pairs.sum())
-    parts = [counted(modes, "mode")] * bool(modes or not real) + [counted(real, "real pole")] * bool(real)
-    return ModelSource(response, _upper(poles), (len(D), len(D.T)), *names, f"fit ({', '.join(parts)})")
+    return ModelSource(response, _upper(poles), (len(D), len(D.T)), *names, fit_name(poles))
 
 
 def _names_of(given: Any, kind: str, count: int) -> list[str]:
@@ -378,7 +377,10 @@ def measured_by(model: Any, data: Any, source: ModelSource, segments: int, inter
         # a model in discrete time answers to samples, whatever is between them
         hold = hold if np.isinf(source.nyquist) else "bandlimited"
         omega, estimate, coherence = response_matrix_estimate(driven, segments, hold)
-        if hold != "bandlimited" and len(omega):
+        unexplained = _left_of_hits(model, recordings) if data is None else []
+        if unexplained:
+            estimate = source.response(omega) + response_matrix_estimate(unexplained, segments, hold)[1]
+        elif hold != "bandlimited" and len(omega):
             estimate = estimate - _folded(source, omega, driven[0][2], hold)
         driven = driven if len(omega) else []
     if driven:
@@ -389,6 +391,20 @@ def measured_by(model: Any, data: Any, source: ModelSource, segments: int, inter
             "leave data out"
         )
     return responses
+
+
+def _left_of_hits(fit: Any, recordings: Sequence[tuple[Array, Array, float]]) -> list[tuple[Array, Array, float]]:
+    """Recordings of hits with what a fit leaves of their outputs; none where the inputs are not those of a hammer.
+
+    Motion that lasts beyond the end of a recording is cut there, and its spectrum without a window is another one; of
+    what the prediction leaves that is no matter.
+    """
+    left = []
+    for experiment, (u, y, step) in zip(fit.experiments, recordings, strict=True):
+        if np.any(u):
+            predicted = np.asarray(experiment.predicted, float).reshape(y.shape)
+            left.append((u, y - np.where(np.isnan(predicted), y, predicted), step))
+    return left if all(rests(u) for u, _, _ in left) else []
 
 
 def _folded(source: ModelSource, omega: Array, step: float, hold: str) -> ComplexArray:
@@ -611,7 +627,7 @@ def _draw_curve(axis: Axes, numbers: DrawnResponses, i: int, j: int, look: Look,
         if not numbers.curves:
             _mark_decades(axis, numbers.axis, curve.omega, x, y, lines[-1].get_color())
     axis.set_aspect("equal", adjustable="datalim")
-    axis.margins(0.1)
+    axis.margins(0.13, 0.1)  # frequencies stand aside
     look.lattice(axis)
     return lines
 
@@ -638,7 +654,27 @@ def _mark_decades(axis: Axes, frequency: FrequencyAxis, omega: Array, x: Array, 
     for power, across, up in zip(powers, *place, strict=True):
         if np.isfinite(across + up) and (last is None or np.hypot(across - last[0], up - last[1]) > 0.1 * reach):
             last = (across, up)
+            aside, above = _outward(x, y, last, _BESIDE * reach)
             axis.annotate(
-                f"{power:g} {frequency.unit_name}", last, (5, 5), textcoords="offset points", fontsize="x-small",
-                color="0.35",
+                f"{power:g} {frequency.unit_name}", last, (_OFF * aside, _OFF * above), textcoords="offset points",
+                fontsize="x-small", color="0.35", ha=_aligned(aside, "right", "left"),
+                va=_aligned(above, "top", "bottom"),
             )  # fmt: skip
+
+
+def _outward(x: Array, y: Array, place: tuple[float, float], near: float) -> tuple[float, float]:
+    """Direction that leads away from a curve at a place of it, to where it does not bend."""
+    known = np.isfinite(x + y)
+    z, here = x[known] + 1j * y[known], complex(*place)
+    k, apart = int(np.argmin(np.abs(z - here))), np.abs(z - here) > near
+    before, after = np.flatnonzero(apart[:k]), k + np.flatnonzero(apart[k:])
+    first, last = z[before[-1] if len(before) else 0], z[after[0] if len(after) else -1]
+    chord = (last - first) / abs(last - first) if last != first else 1.0 + 0.0j
+    side = ((here - first) * np.conj(chord)).imag  # of the chord, left of it positive
+    normal = chord * (1j if side > 0 or (side == 0 and chord.real > 0) else -1j)
+    return float(normal.real), float(normal.imag)
+
+
+def _aligned(part: float, low: str, high: str) -> str:
+    """Which side of a text is next to its place, of the part of its direction along one axis."""
+    return "center" if abs(part) < _ASLANT else high if part > 0 else low

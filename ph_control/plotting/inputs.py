@@ -11,7 +11,7 @@ import control as ct
 import numpy as np
 
 from .. import _checks
-from .._display import counted
+from .._display import counted, counted_poles
 from .._types import Array, ComplexArray
 from ..exceptions import StructureError
 from ..modal.general_form import GeneralModalForm
@@ -60,8 +60,14 @@ def as_measured(given: Any, response: ComplexArray, omega: Array) -> ComplexArra
     background = getattr(given, "background", None)
     if background is not None:
         response = response + background.response(omega)
-    late = np.add.outer(*(np.asarray(getattr(given, name, np.zeros(1))) for name in ("delay", "input_delay")))
+    late = lateness_of(given)
     return response * np.exp(-1j * np.multiply.outer(late, omega)) if late.any() else response
+
+
+def lateness_of(given: Any) -> Array:
+    """Time (p, m) by which outputs answer late to inputs: of a result its delays, (1, 1) and 0 of anything else."""
+    outputs, inputs = (np.asarray(getattr(given, name, np.zeros(1)), float) for name in ("delay", "input_delay"))
+    return np.add.outer(outputs, inputs)
 
 
 def measurements_of(model: Any, data: Any) -> list[Any]:
@@ -126,7 +132,7 @@ def _inside(given: Any) -> Any:
 def _names(given: list[Any], systems: list[Any]) -> list[str]:
     """Names of systems, all different; a fit is called one, unless its system was named."""
     names = [
-        given_name(sys) or (f"fit ({counted(source.order, 'mode')})" if is_fit(source) else _kind(sys))
+        given_name(sys) or (fit_name(source.poles) if is_fit(source) else _kind(sys))
         for source, sys in zip(given, systems, strict=True)
     ]
     # a system has the name of what it was sampled, reduced or drawn from
@@ -140,6 +146,12 @@ def _names(given: list[Any], systems: list[Any]) -> list[str]:
         for name, size in zip(names, sizes, strict=True)
     ]
     return [f"{name} #{names[: k + 1].count(name)}" if names.count(name) > 1 else name for k, name in enumerate(names)]
+
+
+def fit_name(poles: ComplexArray) -> str:
+    """What a fit with these poles, one of each pair, is called in legends."""
+    modes = int(np.sum(poles.imag != 0))
+    return f"fit ({', '.join(counted_poles(modes, len(poles) - modes))})"
 
 
 def _kind(sys: Any) -> str:

@@ -26,7 +26,7 @@ from ..numerics.rational import poles as poles_of
 from ..numerics.rational import state_space
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import ph
-from .inputs import Subject, is_fit, models_around, subjects_of, timebase, title_of
+from .inputs import Subject, is_fit, lateness_of, models_around, subjects_of, timebase, title_of
 from .style import BAND, DOTS, ZERO, AxesGiven, LineStyle, Look, extremes, labelled, picture, plain
 
 if TYPE_CHECKING:
@@ -58,7 +58,8 @@ def step_plot(
     Parameters
     ----------
     sysdata : system, or list of systems
-        `PortHamiltonian`, `ModalForm`, any other LTI system of python-control; a `PEMResult` stands for its `system`.
+        `PortHamiltonian`, `ModalForm`, any other LTI system of python-control; a `PEMResult` stands for the response of
+        the quantity that was measured, with its delays: instants count from when these are over.
     timepts : array_like, shape (T,), or a number
         Instants, or the last one.  By default 3 periods of the slowest mode, or as long as was measured, and 20 samples
         in the shortest period.
@@ -202,7 +203,8 @@ class Trace:
 
     `fast` holds the natural frequencies that the instants do not resolve, and `reach`, shape (p, m), how far they
     lead away from `slow`, the response without them; `joined` if a line through the samples is the motion, or that
-    without the fast ones; `sampled` systems change at their instants only.
+    without the fast ones; `sampled` systems change at their instants only.  Responses come `late`, shape (p, m), by the
+    delays of a fit; their band has them.
     """
 
     label: str
@@ -214,11 +216,19 @@ class Trace:
     joined: bool = True
     sampled: bool = False
     band: TimeBand | None = None
+    late: Array = field(default_factory=lambda: np.zeros((1, 1)))
 
     @property
     def resolved(self) -> bool:
         """Whether the samples show every motion."""
         return not len(self.fast)
+
+    def with_delay(self, values: Array, i: int, j: int) -> tuple[Array, Array]:
+        """Instants and values of such a response of an entry, at rest until its delay is over."""
+        late = float(np.broadcast_to(self.late, values.shape[:2])[i, j])
+        if late <= 0:
+            return self.time + late, values[i, j]
+        return np.concatenate([[0.0, late], self.time + late]), np.concatenate([[0.0, 0.0], values[i, j]])
 
 
 @dataclass(frozen=True)
@@ -261,6 +271,7 @@ def transient_data(
             trace = _stepped(subject, kind, given, end, timepts_num)
         else:
             trace = _lossless(subject, modes, kind, given, end, timepts_num)
+        trace = replace(trace, late=lateness_of(subject.given))
         band = None if drawn is None else _band(subject, modes, trace, drawn, kind, level)
         traces.append(replace(trace, band=band))
     outputs = first.output_labels
@@ -325,10 +336,11 @@ def _end(subjects: list[Subject], forms: list[ModalForm | None], timepts: Any) -
         return _checks.sampling_step(timepts, name="the last instant")
     ends = []
     for subject, modes in zip(subjects, forms, strict=True):
+        late = max(float(lateness_of(subject.given).max()), 0.0)
         if modes is None:
-            ends.append(float(ct.step_response(state_space(subject.system)).time[-1]))
+            ends.append(late + float(ct.step_response(state_space(subject.system)).time[-1]))
         elif modes.nu.any():
-            ends.append(_PERIODS * 2 * np.pi / float(modes.d[modes.nu.any(axis=1)].min()))
+            ends.append(late + _PERIODS * 2 * np.pi / float(modes.d[modes.nu.any(axis=1)].min()))
     return max(ends, default=10.0)
 
 
@@ -420,7 +432,7 @@ def _band(subject: Subject, modes: ModalForm | None, trace: Trace, models: Any, 
         )
     draws = len(models) if hasattr(models, "__len__") else 1
     count = subject.system.nstates // 2 if modes is None else modes.n
-    t = trace.time[: max(2, _MOST_IN_BAND // max(1, draws * count))]
+    t = trace.time[: max(2, _MOST_IN_BAND // max(1, draws * count))] + float(trace.late[0, 0])
     ends = (models.step_band if kind == "step" else models.impulse_band)(t, level)
     shown = f"{100 * level:g} % band" + ("" if len(t) == len(trace.time) else f" (to {t[-1]:.3g})")
     return TimeBand(shown, t, np.asarray(ends))
@@ -436,7 +448,7 @@ def _draw_responses(axis: Axes, numbers: TransientData, i: int, j: int, look: Lo
         colour = line.get_color()
         lines.append(line)
         if not trace.resolved:
-            t, slow = extremes(trace.time, trace.slow[i, j])
+            t, slow = extremes(*trace.with_delay(trace.slow, i, j))
             warning = plain(f"envelope with {listed(trace.fast, time_unit)}, too fast for these instants")
             shade: dict[str, Any] = {"facecolor": to_rgba(colour, 0.12), "edgecolor": to_rgba(colour, 0.45)}
             low, high = slow - trace.reach[i, j], slow + trace.reach[i, j]
@@ -457,7 +469,7 @@ def _draw_trace(axis: Axes, trace: Trace, i: int, j: int, style: dict[str, Any])
     label = plain(trace.label)
     if not trace.joined:
         dots = {**style, "linestyle": "none", "marker": ".", "markersize": 4.0}
-        return axis.plot(trace.time, trace.values[i, j], label=f"{label} (samples)", **dots)[0]
+        return axis.plot(*trace.with_delay(trace.values, i, j), label=f"{label} (samples)", **dots)[0]
     if trace.sampled:
         style = {**style, "drawstyle": "steps-post", "linestyle": "-", "linewidth": 1.0}
-    return axis.plot(*extremes(trace.time, trace.values[i, j]), label=label, **style)[0]
+    return axis.plot(*extremes(*trace.with_delay(trace.values, i, j)), label=label, **style)[0]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..._display import Report, aligned, counted, to_its_error
+from ..._display import Report, aligned, counted, counted_poles, to_its_error
 from ..._frozen import Frozen
 from ..._options import Discretisation, Interpolation
 from ..._types import ComplexArray
@@ -120,9 +120,7 @@ class PlantExcitation(OfInformation, Report, Frozen):
     @property
     def _parts(self) -> str:
         """Numbers of modes and real poles."""
-        real = len(self.poles) - self.n
-        parts = [counted(self.n, "mode")] * bool(self.n) + [counted(real, "real pole")] * bool(real)
-        return " and ".join(parts)
+        return " and ".join(counted_poles(self.n, len(self.poles) - self.n))
 
     @property
     def headline(self) -> str:

@@ -140,8 +140,8 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         error: 0 of a delay that was given, NaN of one that is known to a sample only.  Predictions have it, `system`
         not.
     input_delay : ndarray, shape (m,)
-        Time by which each of several inputs acts later than it was recorded, whole samples; 0 where no dead time was
-        found.  Beside `delay`, and as this in predictions only.
+        Time by which each of several inputs acts later than it was recorded, whole samples and without a standard
+        error; 0 where no dead time was found.  Beside `delay`, and as this in predictions only.
     system : PortHamiltonian or control.StateSpace
         The identified model.
     natural_frequencies, damping_ratios : ndarray, shape (n,)
@@ -156,7 +156,8 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         Standard errors under the keys 'natural_frequencies', 'hertz', 'damping_ratios', 'real_poles',
         'time_constants', 'residues', 'shapes', 'feedthrough', 'delay', 'offset', 'd', and where they mean something
         'r', 'kappa', 'initial_state' and 'parameters'; those of complex numbers are complex, of real and imaginary
-        part.  NaN for what was not estimated, infinite for what the input does not show.
+        part.  NaN for what was not estimated, and for a delay that is known to a sample only; infinite for what the
+        input does not show.
 
     Examples
     --------

@@ -11,7 +11,7 @@ import numpy as np
 from ..._display import (
     Report,
     aligned,
-    counted,
+    counted_poles,
     first_of,
     html_heading,
     html_report,
@@ -53,7 +53,7 @@ class ModalReport(Report):
         return html_heading(title) + html_report("\n".join(lines)) + html_table(head, rows) + html_report(self.message)
 
     def _headline(self: Any) -> str:
-        return f"{counted_poles(self)}, {self.structure}, fit {percent(self.fit_percent)}, {self.verdict}"
+        return f"{poles_in_words(self)}, {self.structure}, fit {percent(self.fit_percent)}, {self.verdict}"
 
     def _mode_table(self: Any) -> list[list[str]]:
         return mode_table(self)
@@ -71,7 +71,7 @@ class ModalReport(Report):
         ports = [f"{outputs[o]}:{inputs[i]}" for o, i in self.ports]
         scale = "unit modal mass" if self.shapes_scaled else "the largest entry 1, unscaled"
         return [
-            f"{counted_poles(self)} of {_listed(outputs)}{source}",
+            f"{poles_in_words(self)} of {_listed(outputs)}{source}",
             f"  verdict         {self.verdict}",
             f"  structure       {self.structure}",
             *_channel_lines(self),
@@ -177,10 +177,9 @@ def _input_delay_line(result: PEMResult) -> list[str]:
     return [f"  dead times      {first_of(late, _NAMED)}{unit}, in predictions and not in system"] * bool(late)
 
 
-def counted_poles(result: PEMResult) -> str:
+def poles_in_words(result: PEMResult) -> str:
     """How many modes and real poles there are."""
-    parts = [counted(result.order, "mode")] * (result.order > 0 or not len(result.real_poles))
-    return " and ".join(parts + [counted(len(result.real_poles), "real pole")] * (len(result.real_poles) > 0))
+    return " and ".join(counted_poles(result.order, len(result.real_poles)))
 
 
 def test_table(tests: Iterable[HypothesisTest]) -> list[list[str]]:

@@ -15,6 +15,7 @@ import numpy as np
 from ..._display import first_of, p_value, to_its_error
 from ..._options import HYPOTHESES
 from ..._units import hertz_size
+from ..regression.tuning import TUNING
 
 _LISTED = 6  # values named one by one
 _SHOWN = 4  # values of a finding in its representation
@@ -140,7 +141,7 @@ class _Terms:
 
 
 def _gain(finding: Finding) -> str:
-    return f"log-likelihood + {finding.gain:.3g}"
+    return f"log-likelihood {'-' if finding.gain < 0 else '+'} {abs(finding.gain):.3g}"
 
 
 def _listed_values(finding: Finding) -> str:
@@ -164,6 +165,11 @@ def _of_drift(finding: Finding, terms: _Terms) -> str:
 def _of_hold(finding: Finding, terms: _Terms) -> str:
     preferred = HOLDS[int(finding.values[0])]
     between = "held" if preferred == "zoh" else "linear"
+    if preferred == terms.intersample and finding.gain < TUNING.sure:
+        return (
+            f"The record does not tell whether the input between samples was held or linear: it is taken as {between}; "
+            "if you know it, pass intersample='zoh' or 'foh'."
+        )
     if preferred == terms.intersample:
         return f"The input between samples was {between} ({_gain(finding)} over the other)."
     return f"The data show an input that was {between} between samples ({_gain(finding)}): intersample={preferred!r}."
@@ -172,8 +178,11 @@ def _of_hold(finding: Finding, terms: _Terms) -> str:
 def _of_delay(finding: Finding, terms: _Terms) -> str:
     late, error = finding.values
     which = repr(finding.output) if finding.output else "The output"
-    amount = f"{to_its_error(abs(late), error)} {terms.time_unit or 'units of time'}"
-    amount += f" (+- {to_its_error(error, error)})" * (error > 0)
+    unit = terms.time_unit or "units of time"
+    if np.isnan(error):
+        amount = f"{abs(late):.6g} {unit} (known to a sample only)"
+    else:
+        amount = f"{to_its_error(abs(late), error)} {unit}" + f" (+- {to_its_error(error, error)})" * (error > 0)
     return (
         f"{which} comes {amount} {'later' if late > 0 else 'earlier'} than the response to the input "
         f"({_gain(finding)}); the delay is in predictions, and not in system."

@@ -31,9 +31,11 @@ def with_late_outputs(
     `other` makes the fit with the inputs held otherwise.
     """
     free = best.free
-    if not (free.delay_open and free.order and free.projection.inputs) or free.interrupted:
+    late = bool(free.delay.any())
+    # without modes no structure shows a delay, but lags tell where within a sample one lies
+    if not (free.delay_open and (free.order or late) and free.projection.inputs) or free.interrupted:
         return best
-    late, stands = bool(free.delay.any()), best.stands(request)
+    stands = best.stands(request)
     if request.function is not None:
         return best
     if request.structure == "passive" or (stands and not late):

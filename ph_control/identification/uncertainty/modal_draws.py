@@ -32,7 +32,7 @@ class ModalSamples(Draws):
     background : ResponseBackground or None
         What bands of gain and phase have beside the modes: that of the estimate.
     delay : ndarray, shape (p,)
-        Delay of each output that bands of the phase have: that of the estimate.
+        Delay of each output, which bands of the phase and of responses in time have: that of the estimate.
     input_delay : ndarray, shape (m,)
         Dead time of each input, likewise.
 
@@ -194,7 +194,7 @@ class ModalSamples(Draws):
         Parameters
         ----------
         time : array_like, shape (K,)
-            Instants, in any order; before 0, when the step comes, the response is 0.
+            Instants, in any order; before 0, when the step comes, and while the delays last, the response is 0.
         level, output, input
             As in `magnitude_band`.
 
@@ -216,13 +216,13 @@ class ModalSamples(Draws):
         array([[0.],
                [0.]])
         """
-        residues, through = self._entry(output, input)
+        (residues, through), late = self._entry(output, input), self.delay[output] + self.input_delay[input]
 
         def step(t: Array, p: ComplexArray) -> Array:
-            weights, after = np.where(p.imag == 0, 1, 2) * residues, np.maximum(t, 0.0)
+            weights, after = np.where(p.imag == 0, 1, 2) * residues, np.maximum(t - late, 0.0)
             each = np.where(p == 0, after, np.expm1(p * after) / np.where(p == 0, 1.0, p))
             moved = np.sum((weights * each).real, axis=-1)
-            return np.where(t[..., 0] < 0, 0.0, moved + through)
+            return np.where(t[..., 0] < late, 0.0, moved + through)
 
         return self._percentiles(self._tables("time", time, step), level)
 
@@ -252,12 +252,12 @@ class ModalSamples(Draws):
         array([[1.05],
                [1.15]])
         """
-        residues, _ = self._entry(output, input)
+        (residues, _), late = self._entry(output, input), self.delay[output] + self.input_delay[input]
 
         def impulse(t: Array, p: ComplexArray) -> Array:
             weights = np.where(p.imag == 0, 1, 2) * residues
-            moved = np.sum((weights * np.exp(p * np.maximum(t, 0.0))).real, axis=-1)
-            return np.where(t[..., 0] < 0, 0.0, moved)
+            moved = np.sum((weights * np.exp(p * np.maximum(t - late, 0.0))).real, axis=-1)
+            return np.where(t[..., 0] < late, 0.0, moved)
 
         return self._percentiles(self._tables("time", time, impulse), level)
 

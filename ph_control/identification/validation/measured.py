@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
-from ..._display import counted
+from ..._display import counted, counted_poles
 from ..._frozen import Frozen
 from ..._types import Array
 from ..._units import common_unit
@@ -127,7 +127,7 @@ def _name(model: Any) -> str:
     if isinstance(system, ct.InputOutputSystem) and (name := given_name(system)):
         return name
     if isinstance(model, PEMResult):
-        return f"fit ({counted(model.order, 'mode')})"
+        return f"fit ({', '.join(counted_poles(model.order, len(model.real_poles)))})"
     kind = type(model).__name__
     n = getattr(system, "n", None)
     if isinstance(n, int):
