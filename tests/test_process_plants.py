@@ -5,7 +5,7 @@ The references are recursions of `scipy.signal.lfilter`, whose poles and autoreg
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import cont2discrete, lfilter
 from scipy.stats import chi2
 from slow import slowly
 
@@ -60,7 +60,7 @@ def test_a_dead_time_of_many_samples_is_found(late, seed):
     u = np.repeat(rng.choice([-1.0, 1.0], 40), 20)
     y = 1.5 * chained(u, (0.95,), late) + 0.03 * rng.standard_normal(len(u))
     result = phc.pem((u, y), dt=0.1, quantity="free")
-    assert result.states == 1 and np.isclose(result.delay[0], 0.1 * late)
+    assert result.states == 1 and abs(result.delay[0] - 0.1 * late) < 3.5 * result.stderr["delay"][0]
     assert abs(result.real_poles[0] - np.log(0.95) / 0.1) < 3.5 * result.stderr["real_poles"][0]
 
 
@@ -70,17 +70,21 @@ def test_the_response_to_a_single_step_shows_its_dead_time(late):
     u = np.where((np.arange(300) >= 30) & (np.arange(300) < 150), 10.0, 0.0)
     y = 60 + 0.9 * chained(u, (0.96,), late) + 0.18 * np.random.default_rng(2).standard_normal(300)
     result = phc.pem((u, y), dt=2.0, quantity="free")
-    assert result.states == 1 and np.isclose(result.delay[0], 2.0 * late, atol=2.1)
+    assert result.states == 1 and abs(result.delay[0] - 2.0 * late) < 3 * result.stderr["delay"][0]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 3, 5])
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 4, 5, 6, 7])
 def test_two_lags_and_a_dead_time_are_no_three_lags(seed):
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.choice([-1.0, 1.0], 20), 30)
-    y = 2.0 * chained(u, (0.951, 0.846), 4) + 0.05 * rng.standard_normal(600)
+    late = np.concatenate([np.zeros(4), u[:-4]])
+    sampled = cont2discrete(([2.0], [30.0, 13.0, 1.0]), 0.5)
+    y = lfilter(sampled[0].ravel(), sampled[1], late) + 0.03 * rng.standard_normal(600)
     result = phc.pem((u, y), dt=0.5, quantity="free")
-    assert result.states == 2 and np.isclose(result.delay[0], 2.0, atol=0.51)
+    assert result.states == 2
+    assert abs(result.delay[0] - 2.0) < 3 * np.nan_to_num(result.stderr["delay"][0], nan=0.5)
+    assert np.all(np.abs(1 / result.time_constants - [0.1, 1 / 3]) < 3 * result.stderr["real_poles"])
 
 
 @pytest.mark.slow

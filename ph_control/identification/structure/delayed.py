@@ -82,14 +82,16 @@ def with_delays(
     DelayedStructure or None
         The best of a delay common to all outputs, and one of each; None where none comes near to the free fit.
     """
-    now, least = delays_of(projection), np.inf
-    best: tuple[Approach, Mask | None] | None = None
+    now = delays_of(projection)
     starts = [Delays.of_outputs(now)] if settled else list(_starts(projection, layout, now, region.ceiling))
-    if settled and np.ptp(now) == 0 and len(now) > 1:
-        starts.append(Delays(_outputs_of(layout), now[np.unique(_outputs_of(layout), return_index=True)[1]]))
+    if settled and np.ptp(now) == 0:  # the likelihood has a corner at each whole sample
+        starts += [Delays.of_outputs(now + share * np.pi / region.ceiling) for share in (-0.5, 0.5)]
+        if len(now) > 1:
+            starts.append(Delays(_outputs_of(layout), now[np.unique(_outputs_of(layout), return_index=True)[1]]))
     through = [fed] + [projection.fed_through] * bool(np.any(projection.fed_through & ~fed))
     light = np.abs(projection.p.real) < _BROAD * np.abs(projection.p)
     poles = [projection.p] + [projection.p[light]] * bool(light.any() and not light.all() and not settled)
+    beginnings: list[tuple[float, Approach, Mask | None]] = []
     for delays in starts:
         bounded = _bounded(delays, region)
         delayed: Sequence[FreeRows] = bounded.rows(projection.experiments)  # type: ignore[type-var]
@@ -98,11 +100,12 @@ def with_delays(
                 start = FreeProjection(delayed, p, mask)
                 beginning = Approach.towards(start, layout, hypothesis, region.about(start.sections), bounded)
                 cost = cost_of(beginning.fit, layout.scales) + np.log(max(beginning.share_ahead, EPS))
-                if cost < least:
-                    best, least = (beginning, mask), cost
-    if best is None:
+                beginnings.append((cost, beginning, mask))
+    if not beginnings:
         return None
-    approach, mask = best[0].at_most(_ITERATIONS), best[1]
+    likely = sorted(beginnings, key=lambda beginning: beginning[0])[: len(beginnings) if settled else 1]
+    ways = [(approach.at_most(_ITERATIONS), mask) for _, approach, mask in likely]
+    approach, mask = min(ways, key=lambda way: cost_of(way[0].fit, layout.scales))
     known = approach.fit
     far = known.loss / known.projection.rows > _FAR * projection.loss / projection.rows
     if far and not (settled or known.converged):

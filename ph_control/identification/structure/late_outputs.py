@@ -44,7 +44,7 @@ def with_late_outputs(
         return _refined(best, best.fit.hypothesis, request)
     chosen = _likelier_with_delays(best, other, request, with_delay)
     if chosen is None and late and best.fit.structure == "free":
-        return _refined(best, "free", request)
+        return _refined_either(best, request)
     return chosen or best
 
 
@@ -105,8 +105,13 @@ def _in_rows_of(free: FreeFit, request: Request) -> Choice:
     first = under_either_hold(Choice.of(free, request), request)
     if first.stands(request) or request.structure != "auto":
         return _refined(first, first.fit.hypothesis, request)
-    classical = _delayed(first.free, first, "classical", request, True)
-    wider = _refined(first, "free", request) if first.fit.structure == "free" else first
+    return _refined_either(first, request)
+
+
+def _refined_either(best: Choice, request: Request) -> Choice:
+    """Free residues with their refined delays, or a classical structure with its own, whichever is likelier."""
+    wider = _refined(best, "free", request) if best.fit.structure == "free" else best
+    classical = _delayed(best.free, best, "classical", request, True) if request.structure == "auto" else None
     return min((candidate for candidate in (classical, wider) if candidate is not None), key=Choice.cost)
 
 
