@@ -25,7 +25,7 @@ _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _SCANS = 3  # searches with the delays that the last one says
 LONGEST_DELAY = 24  # samples, up to which each is tried
 _PER_DECADE = 24  # delays beyond, each a tenth longer than the one before
-_NEAR = 4  # samples, by which a delay may be another for the poles that were found with it
+_NEAR = 3  # samples, by which a delay may be another for the poles that were found with it
 _LAGS = 6  # of different rates, with which delays are looked for
 _TOGETHER = 64  # outputs of a record, about: products of more of them with one another cost more than they spare
 
@@ -191,11 +191,11 @@ def _samples_late(fit: FreeFit) -> int:
 
 
 def _scanned_delays(fit: FreeFit) -> list[Array]:
-    """Return whole samples, as times, by which outputs may come late, for the poles of a fit or a lag of any rate.
+    """Return whole samples, as times, by which outputs may come late, the likeliest first.
 
-    Poles may stand for a part of a delay, or for all of it: a lag takes the place of the heavily damped ones,
-    or joins the slowest of them.  Nothing is looked for where there are none, in white noise; nor is told what is far
-    less likely than the fit, though no pole that stays is refined.
+    Poles may stand for a part of a delay, or for all of it: a lag of any rate takes the place of the heavily damped
+    ones, or joins the slowest of them.  Nothing is looked for where there are none, in white noise; nor is returned
+    what is far less likely than the fit, though no pole that stays is refined.
     """
     channels, p = fit.channels, fit.projection.p
     if isinstance(channels[0], ResponseMatrix) or not len(channels[0].input_labels) or fit.rounding:
@@ -217,11 +217,10 @@ def _scanned_delays(fit: FreeFit) -> list[Array]:
     if max(far.values()) > max(likely.values()):
         near = {delay for about in far for delay in range(about - about // 8, about + about // 8 + 1)}
         likely |= scan.likeliest(sorted(near))
-    return [
-        np.full(len(fit.scales), delay * channels[0].dt)
-        for delay, gain in sorted(likely.items())
-        if gain > -TUNING.likely
-    ]
+    ranked = sorted(
+        (delay for delay, gain in likely.items() if gain > -TUNING.likely), key=lambda delay: -likely[delay]
+    )
+    return [np.full(len(fit.scales), delay * channels[0].dt) for delay in ranked]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ without either. What the delay buys is the structure, which has fewer unknowns.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import argrelmin
@@ -27,6 +27,7 @@ _STARTS = 2  # common delays that are tried
 _MARGIN = 1.5  # samples by which a search may go beyond where it began
 _BROAD = 0.2  # damping ratio from which on modes may stand for a delay
 _ITERATIONS = 12  # of the most promising start
+_LIKELIER = 1.0  # by which the BIC falls where a delay on another side of the corner at a whole sample is taken
 _FAR = 10.0  # times what free residues leave: from there no way leads to what they leave
 
 
@@ -84,28 +85,39 @@ def with_delays(
     """
     now = delays_of(projection)
     starts = [Delays.of_outputs(now)] if settled else list(_starts(projection, layout, now, region.ceiling))
-    if settled and np.ptp(now) == 0:  # the likelihood has a corner at each whole sample
-        starts += [Delays.of_outputs(now + share * np.pi / region.ceiling) for share in (-0.5, 0.5)]
-        if len(now) > 1:
-            starts.append(Delays(_outputs_of(layout), now[np.unique(_outputs_of(layout), return_index=True)[1]]))
+    if settled and np.ptp(now) == 0 and len(now) > 1:
+        starts.append(Delays(_outputs_of(layout), now[np.unique(_outputs_of(layout), return_index=True)[1]]))
     through = [fed] + [projection.fed_through] * bool(np.any(projection.fed_through & ~fed))
     light = np.abs(projection.p.real) < _BROAD * np.abs(projection.p)
     poles = [projection.p] + [projection.p[light]] * bool(light.any() and not light.all() and not settled)
-    beginnings: list[tuple[float, Approach, Mask | None]] = []
-    for delays in starts:
-        bounded = _bounded(delays, region)
-        delayed: Sequence[FreeRows] = bounded.rows(projection.experiments)  # type: ignore[type-var]
+
+    def begun(bounded: Delays, wider: Delays) -> Iterator[tuple[float, Approach, Mask | None]]:
+        """Yield what descents in the samples of wider bounds promise, where they begin, and what is fed through."""
+        rows: Sequence[FreeRows] = wider.rows(projection.experiments)  # type: ignore[type-var]
+        delayed: Sequence[FreeRows] = bounded.rows(rows)  # type: ignore[type-var]
         for p in poles:
             for mask in through if projection.has_feedthrough else [None]:
                 start = FreeProjection(delayed, p, mask)
                 beginning = Approach.towards(start, layout, hypothesis, region.about(start.sections), bounded)
                 cost = cost_of(beginning.fit, layout.scales) + np.log(max(beginning.share_ahead, EPS))
-                beginnings.append((cost, beginning, mask))
-    if not beginnings:
+                yield cost, beginning, mask
+
+    bounds = [_bounded(delays, region) for delays in starts]
+    promising = min(
+        (each for delays in bounds for each in begun(delays, delays)), key=lambda each: each[0], default=None
+    )
+    if promising is None:
         return None
-    likely = sorted(beginnings, key=lambda beginning: beginning[0])[: len(beginnings) if settled else 1]
-    ways = [(approach.at_most(_ITERATIONS), mask) for _, approach, mask in likely]
-    approach, mask = min(ways, key=lambda way: cost_of(way[0].fit, layout.scales))
+    approach, mask = promising[1].at_most(_ITERATIONS), promising[2]
+    least = cost_of(approach.fit, layout.scales) - _LIKELIER / projection.rows
+    step = np.pi / region.ceiling
+    for side in (-1, 1) if settled and np.ptp(now) == 0 else ():
+        ends = sorted((now[0], now[0] + side * step))
+        within = replace(bounds[0], values=np.array([sum(ends) / 2]), least=ends[0], most=ends[1])
+        for cost, beginning, through_it in begun(within, bounds[0]):
+            way = beginning.at_most(_ITERATIONS) if cost < least else approach
+            if cost_of(way.fit, layout.scales) < least:
+                approach, mask, least = way, through_it, cost_of(way.fit, layout.scales)
     known = approach.fit
     far = known.loss / known.projection.rows > _FAR * projection.loss / projection.rows
     if far and not (settled or known.converged):
