@@ -44,20 +44,21 @@ HORIZON = 15
 
 @dataclass(frozen=True)
 class Plant:
-    """Poles of positive imaginary part and real ones, shape (n,), and their residues (n, p, m)."""
+    """Poles of positive imaginary part and real ones, shape (n,), residues (n, p, m), and samples of dead time."""
 
     poles: ComplexArray
     residues: ComplexArray
+    late: int = 0
 
     @classmethod
-    def of(cls, *terms: tuple[complex, Any]) -> Plant:
+    def of(cls, *terms: tuple[complex, Any], late: int = 0) -> Plant:
         """Poles with their residues: numbers, or matrices (p, m)."""
         residues = np.array([np.atleast_2d(np.asarray(residue, complex)) for _, residue in terms])
-        return cls(np.array([pole for pole, _ in terms], complex), residues)
+        return cls(np.array([pole for pole, _ in terms], complex), residues, late)
 
     def outputs(self, u: Array, step: float) -> Array:
         """Outputs (p, T) of the plant at rest under inputs (m, T) that are held between samples."""
-        return held(self.poles, self.residues, u, step)
+        return held(self.poles, self.residues, np.pad(u, ((0, 0), (self.late, 0)))[:, : u.shape[1]], step)
 
 
 def held(poles: ComplexArray, residues: ComplexArray, u: Array, step: float, linear: bool = False) -> Array:
@@ -89,6 +90,10 @@ CONTROL = {
         (-0.3 + 21j, [[0.5j, 0.2], [0.1, 0.3]]),
     ),
     "unstable in closed loop": Plant.of((0.5, 2.0)),
+    "lag, 5 samples late": Plant.of((-5.0, 5.0), late=5),
+    "lag, 60 samples late": Plant.of((-5.0, 5.0), late=60),
+    "motor, 15 samples late": Plant.of((-2.0, 2.2), (-20.0, -2.2), late=15),
+    "lag and mode, 30 samples late": Plant.of((-1.0, 1.0), (-0.15 + 12j, 0.5 - 0.2j), late=30),
 }  # fmt: skip
 QUANTITIES = {"overdamped mass": "displacement"}  # of outputs that are no velocities
 
@@ -141,6 +146,9 @@ def judged(name: str, seed: int) -> Judged:
     states = int(np.sum(1 + (poles.imag > 0)))
     right = states == int(np.sum(1 + (true.imag > 0)))
     squares: list[float] = []
+    late = STEP * CONTROL[name].late
+    if right and late and np.isfinite(result.stderr["delay"][0]):
+        squares.append(float(((result.delay[0] - late) / result.stderr["delay"][0]) ** 2))
     if right and name != "critical damping":  # whose poles go together or apart by chance
         same = int(np.sum(poles.imag > 0)) == int(np.sum(true.imag > 0))
         modes, real = (np.flatnonzero(poles.imag > 0), np.flatnonzero(poles.imag == 0)) if same else ([], [])
@@ -161,7 +169,7 @@ def judged(name: str, seed: int) -> Judged:
 
 def control_table(names: Sequence[str], seeds: int) -> None:
     """Print a line for each plant."""
-    print(f"{'plant':26} {'order':>8} {'z^2':>6} {'cover':>7} {'median s':>9} {'worst s':>8}  structures")
+    print(f"{'plant':29} {'order':>8} {'z^2':>6} {'cover':>7} {'median s':>9} {'worst s':>8}  structures")
     for name in names:
         rows = [judged(name, seed) for seed in range(seeds)]
         squares = [x for row in rows for x in row.squares]
@@ -169,7 +177,7 @@ def control_table(names: Sequence[str], seeds: int) -> None:
         seconds = [row.seconds for row in rows]
         kinds = {kind: sum(row.structure == kind for row in rows) for kind in sorted({row.structure for row in rows})}
         print(
-            f"{name:26} {sum(row.right for row in rows):4d}/{seeds:<3d} {np.mean(squares or [np.nan]):6.2f} "
+            f"{name:29} {sum(row.right for row in rows):4d}/{seeds:<3d} {np.mean(squares or [np.nan]):6.2f} "
             f"{cover:5.1f} % {np.median(seconds):9.2f} {max(seconds):8.2f}  {kinds}",
             flush=True,
         )

@@ -10,15 +10,17 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from ..._types import Array, ComplexArray, Mask
-from ..data.channels import ResponseMatrix
+from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut
 from ..regression.free import FreeProjection, Lateness
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
+from ..search.channel_rows import Experiments
 from ..search.fitted_modes import FreeFit
 from ..search.free_search import Records
+from ..search.late_lags import LateLagScan
 from ..uncertainty.residual_tests import ljung_box
-from .assumptions import Anew, rows_as_in
+from .assumptions import Anew, Search, rows_as_in
 
 MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
 _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
@@ -28,6 +30,31 @@ _PER_DECADE = 24  # delays beyond, each a tenth longer than the one before
 _NEAR = 3  # samples, by which a delay may be another for the poles that were found with it
 _LAGS = 6  # of different rates, with which delays are looked for
 _TOGETHER = 64  # outputs of a record, about: products of more of them with one another cost more than they spare
+
+
+def of_late_lag(channels: Experiments, search: Search) -> FreeFit | None:
+    """Fit outputs that come later than the response to the only input, where a lag already tells; None elsewhere.
+
+    It has to explain most of the outputs, and far more than several lags without a delay.  The fit stands if all its
+    poles are lags or heavily damped modes, and it leaves white residuals: others are compared after a search.
+    """
+    given = search.assumptions
+    single = isinstance(channels[0], Recording) and len(channels[0].input_labels) == 1
+    if not single or given.delay is not None or given.input_delay is not None:
+        return None
+    path = search.path(channels)
+    rows = [record for record in path.plain.data if isinstance(record, FreeRecord) and record.driven]
+    scan = LateLagScan.of(rows, len(path.counts))
+    likeliest = scan.likeliest() if scan else None
+    if likeliest is None:
+        return None
+    samples, gain = likeliest
+    delay = Lateness(np.full(len(path.counts), samples * rows[0].hold.h), path.input_delay)
+    fit = search.along(search.path(channels, delay), channels)
+    if fit.interrupted:
+        return fit
+    lags = fit.states and np.all(are_heavy(fit.projection.p)) and not leaves_traces(fit.projection)
+    return replace(fit, delay_gain=gain) if lags else None
 
 
 def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
@@ -40,16 +67,17 @@ def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
         delays = [delay for delay in delays if _in_samples(delay, step) not in tried]
         if not delays:
             return best
-        least, most = float(np.min(delays)), float(np.max(delays))
-        likeliest, gain, before = best, 0.0, bic_within(best, least, most)
+        first, last = float(np.min(delays)), float(np.max(delays))
+        likeliest, gain, before = best, 0.0, bic_within(best, first, last)
         for delay in delays:
             samples = _in_samples(delay, step)
             if samples in tried:
                 continue
             tried.add(samples)
             again = anew(replace(fit.lateness, outputs=delay), fit.offset, poles)
-            now = 0.5 * (before - bic_within(again, least, most))
-            if now > (_least_gain(fit, again) if likeliest is fit else gain) and _responds(again):
+            now = 0.5 * (before - bic_within(again, first, last))
+            least = _least_gain(fit, again) if likeliest is fit and not fit.delay.any() else gain
+            if now > least and _responds(again):
                 likeliest, gain = replace(again, findings=fit.findings, delay_gain=best.delay_gain + now), now
                 if again.order < fit.order and not leaves_traces(again.projection):
                     break
@@ -57,11 +85,11 @@ def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
 
     for _ in range(_SCANS):
         # poles that were found in a wrong delay, or none, say little of the right one
-        before, best = best, likelier(_scanned_delays(best) + (_shown_delays(fit) if best is fit else []))
+        before, best = best, likelier(_scanned_delays(best) + ([] if best.delay.any() else _shown_delays(best)))
         if best is before:
             break
-    if best is fit:
-        return fit
+    if not best.delay.any():
+        return best
     near = sorted({*range(-_NEAR, _NEAR + 1)} - {0}, key=abs)
     return likelier([best.delay + step * samples for samples in near], best.projection.p)
 
