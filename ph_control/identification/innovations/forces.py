@@ -502,15 +502,19 @@ def _hints_at_forces(foretold: _Predictors, alone: float, white: LikelihoodEvalu
     charge = noise.unknowns * float(np.log(problem.samples * white.p))
     if missing_mode(white, _NOTED * charge / max(1, noise.pairs)) is None:
         return False
-    ratio = _score(replace_colour(problem, True).at(white.point))
-    return bool(ratio > _HINT * charge and chdtrc(noise.K.size, ratio) < _SCREEN)
+    evaluation = replace_colour(problem, True).at(white.point)
+    # what was fitted leaves errors that look like forces: that costs another pass
+    return all(
+        ratio > _HINT * charge and chdtrc(noise.K.size, ratio) < _SCREEN
+        for ratio in (_score(evaluation, allowing=allowing) for allowing in (False, True))
+    )
 
 
-def _score(evaluation: LikelihoodEvaluation) -> float:
+def _score(evaluation: LikelihoodEvaluation, *, allowing: bool) -> float:
     """Twice the log-likelihood that one step of the gains promises beside white noise, all others moving along.
 
-    Beyond what it promises in white noise itself: numbers that were fitted, as the motion in which a record begins,
-    leave errors that look as if noise came through modes that last as long as the record.
+    Beyond what it promises in white noise itself, if `allowing` for what was fitted: numbers as the motion in which a
+    record begins leave errors that look as if noise came through modes that last as long as the record.
     """
     noise = evaluation.point.noise
     gram, gradient = evaluation.normal
@@ -523,8 +527,10 @@ def _score(evaluation: LikelihoodEvaluation) -> float:
     # where others are not at their best among themselves, that is no sign of forces
     moved = among @ gram[np.ix_(others, gains)]
     inner = gram[np.ix_(gains, gains)] - gram[np.ix_(gains, others)] @ moved
-    expected = evaluation.expected_slope_of_gains(others, among / np.outer(lengths[others], lengths[others]))
-    slope = gradient[gains] - moved.T @ gradient[others] - expected.ravel() / lengths[gains]
+    slope = gradient[gains] - moved.T @ gradient[others]
+    if allowing:
+        expected = evaluation.expected_slope_of_gains(others, among / np.outer(lengths[others], lengths[others]))
+        slope -= expected.ravel() / lengths[gains]
     return float(slope @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ slope)
 
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..._types import ComplexArray
+from ..data.channels import Recording
+from ..data.parts import cut
 from ..regression.free import FreeProjection, Lateness
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
@@ -23,6 +25,7 @@ from .drifts import are_slow, drift_of, may_drift, with_constants
 InNoise = Callable[[FreeFit], FreeFit]
 
 _SAMPLES = 1500  # of a record whose errors would show what is missing
+_BEGINNING = 100_000  # samples of each record that delays are looked for in
 _ROWS = 100  # of a covariance that only has to tell whether forces prevail
 _CLOSE = 3  # models that are looked at
 _WORSE = 4  # delays one after the other that foretell less, after which no longer ones are looked at
@@ -60,7 +63,11 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> Begun | None:
     outputs = len(path.counts)
     if sum(rows.length for rows in records) < _SAMPLES:
         return None
-    samples = late_samples(records, outputs, _are_felt(path)) if orders.are_open else 0
+    some = [
+        cut(record, slice(0, min(record.samples, _BEGINNING))) for record in channels if isinstance(record, Recording)
+    ]
+    begun = [rows for rows in search.path(some).plain.data if isinstance(rows, FreeRecord)]
+    samples = late_samples(begun, outputs, _are_felt(path)) if orders.are_open else 0
     if samples:
         path = search.path(channels, Lateness(np.full(outputs, samples * records[0].hold.h), path.input_delay))
         records = [record for record in path.plain.data if isinstance(record, FreeRecord)]

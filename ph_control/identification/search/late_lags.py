@@ -22,9 +22,11 @@ from ..regression.tuning import TUNING
 
 _SAMPLES = 20_000  # of each record that are looked at
 _RATES = 16  # of late lags, from the slowest to the fastest
+_EACH = 3  # of these is looked at first
 _PAIRS = 4  # of lags without a delay
 _SHARE = 10  # of the shortest record: no delay is longer
 _MOSTLY = 0.5  # of the squares of outputs that a late lag leaves at most
+_ROUGHLY = 0.6  # of those that the best of a few rates leaves
 _CLEARLY = 0.8  # of the squares that lags without a delay leave: a late one leaves less
 
 
@@ -57,8 +59,13 @@ class LateLagScan:
     def likeliest(self) -> tuple[int, float] | None:
         """Return the samples of the delay that a lag or two show, and the log-likelihood gained; None if none do."""
         slowest, lags = 0.4 / self.most, np.geomspace(0.4 / self.most, 0.5, _RATES)
-        likeliest = self._likeliest_of([lags[k : k + 1] for k in range(_RATES)])
-        if not likeliest.samples or np.mean(likeliest.losses / self._on_time(lags[:0])) > _MOSTLY:
+        still = self._on_time(lags[:0])
+        rough = self._likeliest_of([lags[k : k + 1] for k in range(1, _RATES, _EACH)])
+        if np.mean(rough.losses / still) > _ROUGHLY:
+            return None
+        near = np.flatnonzero(np.abs(np.log(lags / rough.rates)) < _EACH * np.log(lags[1] / lags[0]) - EPS)
+        likeliest = self._likeliest_of([lags[k : k + 1] for k in near.tolist()])
+        if not likeliest.samples or np.mean(likeliest.losses / still) > _MOSTLY:
             return None
         # a lag of second order looks like one of first order that comes later
         double = self._likeliest_of([np.append(likeliest.rates, rate) for rate in lags])
