@@ -278,7 +278,7 @@ class _Processes(_Given):
 class _End:
     """Whether this process is to end, and whether that has to wait."""
 
-    asked = waits = False
+    requested = waits = False
 
 
 @contextmanager
@@ -289,12 +289,12 @@ def uninterrupted() -> Iterator[None]:
         yield
     finally:
         _End.waits = False
-        if _End.asked:
+        if _End.requested:
             os._exit(1)
 
 
 def _end(*_: Any) -> None:
-    _End.asked = True
+    _End.requested = True
     if not _End.waits:
         os._exit(1)
 

@@ -48,7 +48,7 @@ def test_prediction_errors_in_bins_are_those_of_the_kalman_filter():
     first = np.random.default_rng(0).standard_normal(6)
     expected, last = filtered(y, noise.A, noise.C, noise.K, first)
     # a record that repeats has the jump of the state where it begins again
-    evaluation = problem.at(InnovationsModel(noise, np.zeros((0, 3)), (), (first - last,)))
+    evaluation = problem.evaluated(InnovationsModel(noise, np.zeros((0, 3)), (), (first - last,)))
     errors = np.fft.irfft(evaluation.errors[0], 501) * np.sqrt(501)
     np.testing.assert_allclose(errors, expected, atol=1e-9 * np.abs(expected).max())
     _, size = np.linalg.slogdet(expected @ expected.T / 501)
@@ -65,12 +65,12 @@ def test_the_gradient_is_that_of_the_likelihood(real_shapes):
     problem, noise = problem_at_truth(ambient(2, 400), real_shapes)
     noise = noise.of_real_shapes() if real_shapes else noise
     point = InnovationsModel(noise, np.zeros((0, 3)), (), (np.zeros(6),))
-    gram, gradient = problem.at(point).normal
+    gram, gradient = problem.evaluated(point).normal
     x, differences = problem.vector(point), np.zeros(len(gradient))
     for j in range(len(x)):
         change = np.zeros(len(x))
         change[j] = 1e-6 * max(abs(x[j]), 1e-2)
-        up, down = (problem.at(problem.point(x + s * change, point)).cost for s in (1, -1))
+        up, down = (problem.evaluated(problem.point(x + s * change, point)).cost for s in (1, -1))
         differences[j] = 0.25 * (up - down) / change[j]
     held = np.zeros(len(x), bool)
     if real_shapes:
@@ -127,7 +127,7 @@ def of_estimated_noise(evaluation, covariance):
     for j in plant:
         change = np.zeros(len(x))
         change[j] = 1e-6 * max(abs(x[j]), 1e-3)
-        up, down = (evaluation.problem.at(evaluation.problem.point(x + s * change, point)) for s in (1, -1))
+        up, down = (evaluation.problem.evaluated(evaluation.problem.point(x + s * change, point)) for s in (1, -1))
         mean.append((down.disturbances[0] - up.disturbances[0]).T / (2 * change[j]))
     X = np.array(mean).transpose(1, 2, 0)
     Xh, known = X.conj().transpose(0, 2, 1) * counts, covariance[np.ix_(plant, plant)]

@@ -25,7 +25,7 @@ def blocks_of(p, u, hold):
     """Columns of the motions and of the residues (2, 2n, T), and their derivatives by the poles."""
     n = len(p)
     record = FreeRecord(u[None], u[None], np.ones(len(u), bool), hold)
-    rows = np.concatenate(list(record.at(p).blocks()), axis=1)
+    rows = np.concatenate(list(record.evaluated(p).blocks()), axis=1)
     columns = np.stack([rows[: 2 * n], rows[2 * n : 4 * n]])
     assert np.array_equal(rows[4 * n], u) and np.array_equal(rows[-1], u)
     return columns, rows[4 * n + 1 : -1].reshape(2, 2 * n, -1)
@@ -162,9 +162,9 @@ def test_blocks_of_a_long_record_are_those_of_one_piece(
     own, shared = rng.standard_normal((record.own_unknowns(n), 2)), rng.standard_normal((2 * (2 * n + 1), 2))
 
     def rows():
-        at = record.at(POLES)
-        blocks = list(at.blocks())
-        return len(blocks), np.concatenate(blocks, axis=1), at.predict(shared, own)
+        evaluation = record.evaluated(POLES)
+        blocks = list(evaluation.blocks())
+        return len(blocks), np.concatenate(blocks, axis=1), evaluation.predict(shared, own)
 
     whole = rows()
     parts = [blocks_of(POLES, u, record.hold) for u in record.u]
@@ -202,16 +202,16 @@ def test_inner_products_by_groups_are_those_of_the_columns(
     monkeypatch, method, intersample, offset, moving, driven, samples
 ):
     record, _ = record_for(samples, offset, moving, driven, False, method, intersample, 8)
-    at = record.at(POLES)
-    assert at.gram() is None
-    columns = np.concatenate(list(at.blocks()), axis=1)
+    evaluation = record.evaluated(POLES)
+    assert evaluation.gram() is None
+    columns = np.concatenate(list(evaluation.blocks()), axis=1)
     expected = columns @ columns.T
     lengths = np.sqrt(np.diag(expected))
     monkeypatch.setattr(RecordColumns, "_by_gram", True)
     for piece in (1, 1 << 19):
         monkeypatch.setattr(experiment, "_BLOCK", piece)
         monkeypatch.setattr(experiment, "_FEWEST", 3)
-        found = at.gram()
+        found = evaluation.gram()
         assert found.shape == expected.shape
         # sums of that many products, each of some
         allowed = 4 * (samples + 30) * EPS * np.outer(lengths, lengths)
@@ -222,10 +222,10 @@ def test_inner_products_of_a_record_with_gaps_are_left_to_its_columns():
     samples = experiment._LONG
     u, observed, every = np.ones((1, samples)), np.arange(samples) != 7, np.ones(samples, bool)
     p, hold = np.array([0.3j]), Hold(1.0)
-    assert FreeRecord(u, u, observed, hold).at(p).gram() is None
+    assert FreeRecord(u, u, observed, hold).evaluated(p).gram() is None
     # two motions, two parts of a residue, what is fed through, a derivative of each but the last, the output
-    assert FreeRecord(u, u, every, hold).at(p).gram().shape == (10, 10)
-    assert FreeRecord(u[:, 1:], u[:, 1:], every[1:], hold).at(p).gram() is None
+    assert FreeRecord(u, u, every, hold).evaluated(p).gram().shape == (10, 10)
+    assert FreeRecord(u[:, 1:], u[:, 1:], every[1:], hold).evaluated(p).gram() is None
 
 
 def test_parts_that_name_the_same_columns_add_up():
@@ -349,7 +349,7 @@ def test_inner_products_of_long_records_are_those_of_the_columns():
     rng = np.random.default_rng(3)
     u, y = rng.standard_normal((2, 20_000)), rng.standard_normal((1, 20_000))
     rows = FreeRecord(u, y, np.ones(20_000, bool), Hold(LATE_STEP, "exact", "foh")).delayed(0.7 * LATE_STEP)
-    evaluation = rows.at(LATE_POLES)
+    evaluation = rows.evaluated(LATE_POLES)
     columns = np.concatenate(list(evaluation.blocks()), axis=1)
     expected = columns @ columns.T
     np.testing.assert_allclose(evaluation.gram(), expected, atol=1e-12 * np.abs(expected).max())
@@ -401,7 +401,7 @@ def test_lags_span_what_a_real_pole_adds_to_the_columns_of_a_window(intersample,
     rows = FreeRecord(u, y, np.ones(400, bool), Hold(0.5, intersample=intersample)).delayed(0.5 * late)
     window, rates = FreeWindow.spread(ChannelSpectra.of(rows)), np.array([0.01, 0.3, 2.0])
     for lag, rate in zip(window.lags(rates), rates, strict=True):
-        columns = next(window.at(np.array([-rate + 0j])).blocks())
+        columns = next(window.evaluated(np.array([-rate + 0j])).blocks())
         expected = columns[[0, 2, 5]]  # real parts of the motion and of each input, whose other columns follow
         weights = np.linalg.lstsq(lag.T, expected.T, rcond=None)[0]
         np.testing.assert_allclose(weights.T @ lag, expected, atol=1e-10 * np.abs(expected).max())
@@ -415,6 +415,6 @@ def test_weighted_rows_are_those_divided_by_the_level():
     level = rng.uniform(0.5, 3.0, 200)
     plain = FreeRecord(u, y, observed, Hold(0.3), offset=1)
     weighted = FreeRecord(u, y, observed, Hold(0.3), offset=1, level=level)
-    columns = np.concatenate(list(plain.at(poles).blocks()), axis=1) / level[observed]
-    R = weighted.at(poles).factor(200)
+    columns = np.concatenate(list(plain.evaluated(poles).blocks()), axis=1) / level[observed]
+    R = weighted.evaluated(poles).factor(200)
     np.testing.assert_allclose(R.T @ R, columns @ columns.T, rtol=1e-9, atol=1e-9)

@@ -40,7 +40,7 @@ def region_of(record):
 def dense(record, p):
     """Columns of motions and residues over the whole record, and their derivatives by the real axis."""
     whole = FreeRecord(record.u, record.u, np.ones(record.length, bool), record.hold, record.moving, through=False)
-    rows = np.concatenate(list(whole.at(p).blocks()), axis=1)[:-1].T
+    rows = np.concatenate(list(whole.evaluated(p).blocks()), axis=1)[:-1].T
     return np.split(rows, 2, axis=1)
 
 

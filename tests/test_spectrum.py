@@ -123,10 +123,10 @@ def test_transforms_of_motions_lie_in_the_span_of_the_columns_on_a_bin_as_well(h
     spectrum = ChannelSpectra.of(record)
     p, bins = 1j * frequencies(record, [place]), np.arange(5, 20)
     # of both parts of the motion and of the residue
-    real = np.concatenate(list(FreeWindow(spectrum, bins).at(p).blocks()))[:4].T
+    real = np.concatenate(list(FreeWindow(spectrum, bins).evaluated(p).blocks()))[:4].T
     real = real / np.linalg.norm(real, axis=0)
     assert np.linalg.cond(real) < 1e3
-    in_time = np.concatenate(list(record.at(p).blocks()), axis=1)[:4]
+    in_time = np.concatenate(list(record.evaluated(p).blocks()), axis=1)[:4]
     motions = np.fft.rfft(in_time, axis=1)[:, bins]
     targets = np.concatenate([motions.real, motions.imag], axis=1).T
     left = targets - real @ np.linalg.lstsq(real, targets, rcond=None)[0]

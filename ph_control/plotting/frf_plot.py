@@ -377,7 +377,7 @@ def measured_by(model: Any, data: Any, source: ModelSource, segments: int, inter
         # a model in discrete time answers to samples, whatever is between them
         hold = hold if np.isinf(source.nyquist) else "bandlimited"
         omega, estimate, coherence = response_matrix_estimate(driven, segments, hold)
-        unexplained = _left_of_hits(model, recordings) if data is None else []
+        unexplained = _residuals_of_hits(model, recordings) if data is None else []
         if unexplained:
             estimate = source.response(omega) + response_matrix_estimate(unexplained, segments, hold)[1]
         elif hold != "bandlimited" and len(omega):
@@ -393,18 +393,18 @@ def measured_by(model: Any, data: Any, source: ModelSource, segments: int, inter
     return responses
 
 
-def _left_of_hits(fit: Any, recordings: Sequence[tuple[Array, Array, float]]) -> list[tuple[Array, Array, float]]:
+def _residuals_of_hits(fit: Any, recordings: Sequence[tuple[Array, Array, float]]) -> list[tuple[Array, Array, float]]:
     """Recordings of hits with what a fit leaves of their outputs; none where the inputs are not those of a hammer.
 
     Motion that lasts beyond the end of a recording is cut there, and its spectrum without a window is another one; of
     what the prediction leaves that is no matter.
     """
-    left = []
+    residuals = []
     for experiment, (u, y, step) in zip(fit.experiments, recordings, strict=True):
         if np.any(u):
             predicted = np.asarray(experiment.predicted, float).reshape(y.shape)
-            left.append((u, y - np.where(np.isnan(predicted), y, predicted), step))
-    return left if all(rests(u) for u, _, _ in left) else []
+            residuals.append((u, y - np.where(np.isnan(predicted), y, predicted), step))
+    return residuals if all(rests(u) for u, _, _ in residuals) else []
 
 
 def _folded(source: ModelSource, omega: Array, step: float, hold: str) -> ComplexArray:

@@ -230,7 +230,7 @@ def _leverages(near: FreeProjection) -> list[Array]:
     """Of each record and output (q, bins) the diagonal of the projection on what was fitted, the mean of both parts."""
     n, own, shared, slopes = len(near.p), list[Array](), list[Array](), list[Array]()
     for window, mine in zip(near.experiments, near.own, strict=True):
-        columns, place = next(iter(window.at(near.p).blocks())).T, places_of(window, n)
+        columns, place = next(iter(window.evaluated(near.p).blocks())).T, places_of(window, n)
         basis = orthogonal(columns[:, : 2 * n])[0]
         every = np.zeros((len(columns), len(near.shared)))
         every[:, place] = columns[:, 2 * n : 2 * n + len(place)]

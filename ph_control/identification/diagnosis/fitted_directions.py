@@ -97,7 +97,7 @@ def _of_record(data: Any, result: Any) -> Directions:
     whole = FreeRecord(u, 0 * u, everywhere, hold, offset=offset, through=through, driven=record.driven)
     rows = whole.delayed(float(result.delay[0]))
     # what is not predicted depends on nothing
-    columns = np.nan_to_num(rows.placed(np.concatenate(list(rows.at(p).blocks()), axis=1)))
+    columns = np.nan_to_num(rows.placed(np.concatenate(list(rows.evaluated(p).blocks()), axis=1)))
     own, shared = rows.own_unknowns(n), rows.inputs * (2 * n + through)
     motion = 0.5 * np.concatenate([data.free_amplitudes.real, data.free_amplitudes.imag])
     moved = by_poles(columns[own + shared : -1].T, rows, motion, rho[:, None])  # motions at the first sample, nearly

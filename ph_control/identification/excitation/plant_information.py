@@ -58,7 +58,7 @@ class RecordSensitivities:
         self._rows = FreeRecord(
             u, np.zeros((1, u.shape[1])), np.ones(u.shape[1], bool), hold, through=through, among=np.arange(len(u))
         )
-        columns = np.concatenate(list(self._rows.at(plant.p).blocks()), axis=1)[:-1].T
+        columns = np.concatenate(list(self._rows.evaluated(plant.p).blocks()), axis=1)[:-1].T
         own, shared = 2 * n, (2 * n + through) * plant.inputs
         self._motion, self._shared = columns[:, :own], columns[:, own : own + shared]
         self._slopes = columns[:, own + shared :]

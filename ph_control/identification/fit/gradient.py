@@ -264,7 +264,7 @@ def _descend(problem: EulerProblem, theta: Array, rate: float, epochs: int, adam
     # a descent that diverges leaves the range of doubles: seen in the loss, and reported
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(epochs + 1):
-            point = problem.at(theta)
+            point = problem.evaluated(theta)
             if not (np.isfinite(point.loss) and np.isfinite(point.gradient).all()):
                 break
             losses.append(point.loss)
@@ -458,7 +458,7 @@ class EulerProblem:
         d, p, s0 = np.split(theta, self.sizes)
         return np.concatenate([np.maximum(d, self.slowest), p if self.natural else np.maximum(p, 0.0), s0])
 
-    def at(self, theta: Array) -> Point:
+    def evaluated(self, theta: Array) -> Point:
         """Loss, exact gradient and Jacobian: O(T n^2)."""
         d, r, s0 = self.split(theta)
         forced, free = columns(d, self.u, self.h)

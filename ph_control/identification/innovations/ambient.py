@@ -303,7 +303,7 @@ def _started(problem: Problem, variates: CanonicalVariates, states: int) -> Ambi
 
 
 def _judged(problem: Problem, noise: NoiseSections) -> AmbientOrder | None:
-    evaluation = problem.at(_point(problem, noise))
+    evaluation = problem.evaluated(_point(problem, noise))
     return AmbientOrder(noise, _criteria(evaluation)) if np.isfinite(evaluation.cost) else None
 
 

@@ -148,7 +148,7 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
     if rows is None:
         return free
     start = _start(free, rows, free.projection.p)
-    white = None if start is None else replace_colour(start[0], False).at(start[1])
+    white = None if start is None else replace_colour(start[0], False).evaluated(start[1])
     start, white = (start, white) if white is not None and np.isfinite(white.cost) else (None, None)
     if white is not None and np.linalg.eigvalsh(_correlations(white.covariance)).min() < _SINGULAR:
         return free
@@ -198,7 +198,7 @@ def _forced(start: Start | None, foretold: _Predictors) -> Minimum | None:
     begins with the poles of predictors as well.  None where there is nothing to begin with.
     """
     starts = [*([] if start is None else [start]), *foretold.starts]
-    starts = sorted(starts, key=lambda begin: _bic(begin[0].at(begin[1])))[:_CLOSE]
+    starts = sorted(starts, key=lambda begin: _bic(begin[0].evaluated(begin[1])))[:_CLOSE]
     ends = [_followed(*begin, _ROUGH, _FEW) for begin in starts]
     if not ends:
         return None
@@ -276,7 +276,7 @@ def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, sh
         return False
     p, more = len(free.scales), point.noise.unknowns
     if shared is None:
-        evaluation = replace_colour(start[0], False).at(start[1])
+        evaluation = replace_colour(start[0], False).evaluated(start[1])
         white, more = _alone(replace(free, noise=()), rows, evaluation), more + p * (p - 1) // 2
     else:
         white = _followed(replace_colour(start[0], False), start[1], steps=_STEPS).evaluation.cost
@@ -502,7 +502,7 @@ def _hints_at_forces(foretold: _Predictors, alone: float, white: LikelihoodEvalu
     charge = noise.unknowns * float(np.log(problem.samples * white.p))
     if missing_mode(white, _NOTED * charge / max(1, noise.pairs)) is None:
         return False
-    evaluation = replace_colour(problem, True).at(white.point)
+    evaluation = replace_colour(problem, True).evaluated(white.point)
     # what was fitted leaves errors that look like forces: that costs another pass
     return all(
         ratio > _HINT * charge and chdtrc(noise.K.size, ratio) < _SCREEN

@@ -91,7 +91,7 @@ class Experiment:
         """Columns for modes with these poles."""
         parts, n = [], len(p)
         for rows in self.rows:
-            columns = np.concatenate(list(rows.at(p).blocks()), axis=1)
+            columns = np.concatenate(list(rows.evaluated(p).blocks()), axis=1)
             spectra = np.fft.rfft(columns[: len(columns) - len(rows.outputs)]) / np.sqrt(rows.length)
             own = rows.own_unknowns(n)
             width = own + len(places_of(rows, n))
@@ -152,7 +152,7 @@ class Problem:
         rows = [part for experiment in self.experiments for part in experiment.rows]
         return max((int(part.acting.max(initial=-1)) + 1 for part in rows), default=0)
 
-    def at(self, point: InnovationsModel) -> LikelihoodEvaluation:
+    def evaluated(self, point: InnovationsModel) -> LikelihoodEvaluation:
         """The prediction errors of a model."""
         return LikelihoodEvaluation(self, point)
 
@@ -190,7 +190,7 @@ class Problem:
 
     def driven_best(self, point: InnovationsModel) -> InnovationsModel:
         """The model whose numbers beside poles and noise are best in this noise: errors are linear in them."""
-        best = evaluation = self.at(point)
+        best = evaluation = self.evaluated(point)
         first = len(point.noise.sections.x) + (2 * point.noise.C.size if self.coloured else 0)
         for _ in range(_ROUNDS):  # with the covariance that belongs to them
             if not np.isfinite(evaluation.cost):
@@ -198,7 +198,7 @@ class Problem:
             gram, gradient, lengths = evaluation.scaled_normal()
             step = np.zeros(len(gradient))
             step[first:] = -np.linalg.pinv(gram[first:, first:], rcond=1e-12, hermitian=True) @ gradient[first:]
-            evaluation = self.at(self.point(self.vector(evaluation.point) + step / lengths, evaluation.point))
+            evaluation = self.evaluated(self.point(self.vector(evaluation.point) + step / lengths, evaluation.point))
             best = evaluation if evaluation.cost < best.cost else best
         return best.point
 
@@ -569,7 +569,7 @@ def minimise(
 
     `report` is called with the number of each step and where it led; it ends the minimisation by an interruption.
     """
-    best, damping = problem.at(start), 1e-3
+    best, damping = problem.evaluated(start), 1e-3
     taken = 0
     if not np.isfinite(best.cost) or not len(problem.vector(start)):
         return Minimum(best, np.isfinite(best.cost), 0)
@@ -586,7 +586,7 @@ def minimise(
             with suppress(np.linalg.LinAlgError):  # rounding may leave the Gram matrix indefinite
                 factor = cho_factor(gram + damping * np.eye(len(gram)))
                 step = -cho_solve(factor, gradient) / lengths
-                trial = problem.at(problem.point(x + step, best.point))
+                trial = problem.evaluated(problem.point(x + step, best.point))
                 if trial.cost < best.cost:
                     break
             damping *= _GROWTH

@@ -217,7 +217,7 @@ def _likeliest(parts: Sequence[_Points], entries: int = 1) -> tuple[NoiseLaw, fl
 
 def _left(rows: FreeResponse, projection: FreeProjection) -> Array:
     """Share of the noise of each point that a fit leaves, shape (m,)."""
-    columns = next(rows.at(projection.p).blocks())[: -len(rows.outputs)]
+    columns = next(rows.evaluated(projection.p).blocks())[: -len(rows.outputs)]
     alone, together = _spare(columns[: -2 * len(projection.p)]), _spare(columns)
     # poles are fitted to all entries, of which each feels its share
     return np.asarray(alone + (together - alone) / projection.shared.shape[1])

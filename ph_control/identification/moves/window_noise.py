@@ -179,7 +179,7 @@ class _Entry:
         projection = fit.projection
         plain, n = replace(rows, white=None, scale=np.ones(len(rows.scale))), len(projection.p)
         assert plain.window is not None
-        columns, entry = next(plain.at(projection.p).blocks()), int(rows.outputs[0])
+        columns, entry = next(plain.evaluated(projection.p).blocks()), int(rows.outputs[0])
         linear = plain.own_unknowns(n) + 2 * n + plain.through
         derivatives = columns[linear : linear + 4 * n].T
         slopes = by_poles(derivatives, plain, projection.own[k][:, 0], projection.residues[:, entry])

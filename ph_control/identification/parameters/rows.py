@@ -92,7 +92,9 @@ def _remainder_of_record(rows: FreeRecord, model: PhysicalModes, scales: Array) 
     own = np.zeros((rows.own_unknowns(n), q))
     forced = np.zeros((q, rows.length))
     if n and rows.inputs:
-        forced = np.asarray(rows.at(model.poles).predict(shared_unknowns(rows, model, scales, rows.through), own))
+        forced = np.asarray(
+            rows.evaluated(model.poles).predict(shared_unknowns(rows, model, scales, rows.through), own)
+        )
     elif rows.inputs:
         forced = (model.feedthrough[rows.outputs][:, rows.acting] / scales[rows.outputs][:, None]) @ rows.direct
     residual = rows.residuals(forced)
@@ -242,7 +244,7 @@ def of_modes(rows: Any, model: PhysicalModes, places: Any, scales: Array, own: A
     if isinstance(rows, FreeRecord):
         moving = np.concatenate([places, n + places]) if rows.moving else places[:0]
         mine = np.concatenate([own[moving], np.zeros((rows.offset, own.shape[1]))])
-        return rows.at(some.poles).predict(shared_unknowns(rows, some, scales, rows.through), mine)
+        return rows.evaluated(some.poles).predict(shared_unknowns(rows, some, scales, rows.through), mine)
     o, i = np.divmod(rows.outputs, some.feedthrough.shape[1])
     peaks = rows.peaks(some.poles)
     halves = halved(some.poles, some.residues)[:, o, i] / scales[rows.outputs]

@@ -237,7 +237,7 @@ class FreeProjection(LinearProjection):
     @cached_property
     def factors(self) -> list[Array]:
         """Triangular factor of all columns of each experiment."""
-        return [rows.at(self.p).factor(rows.samples) for rows in self.experiments]
+        return [rows.evaluated(self.p).factor(rows.samples) for rows in self.experiments]
 
     def given(
         self, p: ComplexArray, shared: Array, sections: Sections | None = None,
@@ -387,7 +387,8 @@ class FreeProjection(LinearProjection):
         pairs = zip(self.experiments, self.own, strict=True)
         n = len(self.p)
         return [
-            rows.at(self.p).predict(self.shared[np.ix_(places_of(rows, n), rows.outputs)], own) for rows, own in pairs
+            rows.evaluated(self.p).predict(self.shared[np.ix_(places_of(rows, n), rows.outputs)], own)
+            for rows, own in pairs
         ]
 
     def own_covariances(self, experiment: int, covariance: Array, variance: float) -> list[tuple[Array, Array]]:
@@ -509,7 +510,7 @@ class FreeProjection(LinearProjection):
         By imaginary and real parts of the poles; what belongs to the experiment is eliminated.
         """
         rows, n = self.experiments[place], len(self.p)
-        columns = np.concatenate(list(rows.at(self.p).blocks()), axis=1).T
+        columns = np.concatenate(list(rows.evaluated(self.p).blocks()), axis=1).T
         own, output = rows.own_unknowns(n), int(rows.outputs[0])
         parts = _ExperimentColumns.of(rows, columns[:, own:], n, self._shared_unknowns)
         slopes = by_poles(parts.derivatives, rows, self.own[place][:, 0], self.residues[:, output])

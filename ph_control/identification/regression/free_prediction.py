@@ -113,7 +113,7 @@ def _late_outputs(p: ComplexArray, residues: ComplexArray, through: Array, u: Ar
     rows = rows.delayed(delay + early * hold.h)
     each = np.moveaxis(halved(p, residues), 2, 0)
     shared = np.concatenate([each.real, each.imag, through.T[:, None]], axis=1).reshape(-1, outputs)
-    return np.asarray(rows.at(p).predict(shared, np.zeros((0, outputs)))[:, early:])
+    return np.asarray(rows.evaluated(p).predict(shared, np.zeros((0, outputs)))[:, early:])
 
 
 def unknown_samples(delay: Array, dt: float) -> Indices:

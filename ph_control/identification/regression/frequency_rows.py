@@ -208,7 +208,7 @@ class FreeResponse:
         scale[observed] *= counts
         return replace(self, observed=observed, scale=scale)
 
-    def at(self, p: ComplexArray) -> FreeResponseEvaluation:
+    def evaluated(self, p: ComplexArray) -> FreeResponseEvaluation:
         """The rows for modes with these poles."""
         return FreeResponseEvaluation(self, p)
 

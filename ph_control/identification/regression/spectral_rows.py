@@ -315,7 +315,7 @@ class FreeWindow:
         """The motion at the ends of every mode."""
         return 2 * n
 
-    def at(self, p: ComplexArray) -> FreeWindowEvaluation:
+    def evaluated(self, p: ComplexArray) -> FreeWindowEvaluation:
         """The rows for modes with these poles."""
         return FreeWindowEvaluation(self, p)
 

@@ -363,7 +363,7 @@ class FreeRecord:
             records.append(record)
         return records
 
-    def at(self, p: ComplexArray) -> FreeTimeEvaluation:
+    def evaluated(self, p: ComplexArray) -> FreeTimeEvaluation:
         """The rows for modes with these poles."""
         return FreeTimeEvaluation(self, p)
 

@@ -194,7 +194,7 @@ def explained_by_lags(
 ) -> Array:
     """Decrease of the sum of squares by each of some real poles, added to a model whose own may be `yielding`."""
     p, outputs = projection.p, len(rows.outputs)
-    known = np.concatenate(list(rows.at(p).blocks(slopes=yielding)), axis=1)
+    known = np.concatenate(list(rows.evaluated(p).blocks(slopes=yielding)), axis=1)
     own = rows.own_unknowns(len(p)) + rows.inputs * (2 * len(p) + rows.through)
     basis, _ = orthogonal(known[:own].T)
     residuals = without(known[-outputs:].T, basis)
@@ -227,7 +227,7 @@ def _lags(rows: FreeRows, rates: Array) -> Array:
     """What the motion and the inputs of each of some decaying real poles span, shape (rates, columns, rows)."""
     k, starts = len(rates), [0] * rows.moving
     starts += [rows.own_unknowns(k) + place * (2 * k + rows.through) for place in range(rows.inputs)]
-    columns = np.concatenate(list(rows.at((-rates).astype(complex)).blocks(slopes=False)), axis=1)
+    columns = np.concatenate(list(rows.evaluated((-rates).astype(complex)).blocks(slopes=False)), axis=1)
     return np.asarray(columns[np.arange(k)[:, None] + np.array(starts, int)])
 
 
@@ -652,7 +652,7 @@ class Responses(FreeSearch):
         tried = tried[tried.imag > 0]
         gains = np.zeros(len(tried))
         for rows in self.data:
-            known = next(rows.at(p).blocks())
+            known = next(rows.evaluated(p).blocks())
             q, n = len(rows.outputs), len(p)
             basis, _ = orthogonal(known[: rows.own_unknowns(n) + 2 * n + rows.through].T)
             real = rows if rows.quantity != "free" else replace(rows, quantity="velocity")

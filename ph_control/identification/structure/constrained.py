@@ -114,7 +114,7 @@ class Tangent:
             R = reduced(np.asfortranarray(np.column_stack([by_poles, by_shared, residual])))
             self._parts.append((outputs, R[:, -1], R[:, : 2 * len(projection.p)], R[:, 2 * len(projection.p) : -1]))
 
-    def at(self, p: ComplexArray, shared: Array) -> TangentPoint:
+    def evaluated(self, p: ComplexArray, shared: Array) -> TangentPoint:
         """The residuals at other poles and residues."""
         moved = np.concatenate([p.imag, p.real]) - self._poles
         return TangentPoint([
@@ -157,7 +157,7 @@ class ConstrainedProjection(LinearProjection):
         shared = layout.joined(self.residues, self.feedthrough, start.has_feedthrough)
         self.data: GivenResidues | TangentPoint
         if problem.tangent is not None:
-            self.data = problem.tangent.at(self.p, shared)
+            self.data = problem.tangent.evaluated(self.p, shared)
         else:
             self.data = start.given(self.p, shared, self.sections, experiments)
 

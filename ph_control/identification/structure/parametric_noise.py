@@ -67,7 +67,7 @@ class SharedNoise:
             own = np.zeros((rows.own_unknowns(n), len(rows.outputs)))
             forced: Any = 0.0
             if rows.inputs:
-                forced = rows.at(model.poles).predict(shared_unknowns(rows, model, scales, rows.through), own)
+                forced = rows.evaluated(model.poles).predict(shared_unknowns(rows, model, scales, rows.through), own)
             unit = (scales[rows.outputs] * rows.unit)[:, None]
             data[rows.outputs] = unit * rows.residuals(forced)
             for column, kind in _own_columns(rows, model, scales, unit):
@@ -102,7 +102,7 @@ class SharedNoise:
             data = np.zeros((len(scales), parts[0].length))
             for rows in parts:
                 shared = free.shared[np.ix_(places_of(rows, len(free.p)), rows.outputs)]
-                predicted = rows.at(free.p).predict(shared, free.own[places[id(rows)]])
+                predicted = rows.evaluated(free.p).predict(shared, free.own[places[id(rows)]])
                 data[rows.outputs] = (scales[rows.outputs] * rows.unit)[:, None] * rows.residuals(predicted)
             total += float(np.sum(self.whitened(data[None]) ** 2))
         return total

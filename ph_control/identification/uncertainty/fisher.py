@@ -268,7 +268,7 @@ class PortRecord:
         """
         n, u = len(d), self.u[None]
         rows = FreeRecord(u, np.zeros(u.shape), np.ones(len(self.u), bool), self.hold)
-        columns = np.concatenate(list(rows.at(imaginary(d)).blocks()), axis=1).T
+        columns = np.concatenate(list(rows.evaluated(imaginary(d)).blocks()), axis=1).T
         motion, forced, slopes = columns[:, : 2 * n], columns[:, 2 * n : 4 * n], columns[:, 4 * n + 1 : -1]
         weight = 0.5 * output_weight(d, self.quantity)[0].conj()
         by_kappa = weight.real * forced[:, :n] + weight.imag * forced[:, n:]
