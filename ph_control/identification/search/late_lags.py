@@ -129,8 +129,7 @@ class LateLagScan:
             squares = [[along(whole[-1:], a * b)[0] for b in responses] for a in responses]
             gram[record.outputs] += np.transpose(squares, (2, 0, 1)) - np.einsum("kdi,kdj->dij", own, own)
             total[record.outputs] += np.sum(y**2, axis=1)
-        explained = np.einsum("odi,odij,odj->od", products, np.linalg.pinv(gram, hermitian=True), products)
-        return np.maximum(total[:, None] - explained, EPS * total[:, None] + np.finfo(float).tiny)
+        return _left_over(total[:, None], gram, products)
 
     def _on_time(self, rates: Array) -> Array:
         """Return squares (outputs,) that lags of some rates leave together without a delay."""
@@ -143,5 +142,12 @@ class LateLagScan:
             gram[record.outputs] += columns.T @ columns
             products[record.outputs] += y @ columns
             total[record.outputs] += np.sum(y**2, axis=1)
-        explained = np.einsum("oi,oij,oj->o", products, np.linalg.pinv(gram, hermitian=True), products)
-        return np.maximum(total - explained, EPS * total + np.finfo(float).tiny)
+        return _left_over(total, gram, products)
+
+
+def _left_over(total: Array, gram: Array, products: Array) -> Array:
+    """Return what columns leave of sums of squares (..), of inner products (.., k, k), and (.., k) with the outputs."""
+    tiny, count = np.finfo(float).tiny, products.shape[-1]
+    size = EPS * np.trace(gram, axis1=-2, axis2=-1) + tiny
+    solved = np.linalg.solve(gram + size[..., None, None] * np.eye(count), products[..., None])[..., 0]
+    return np.maximum(total - np.sum(products * solved, axis=-1), EPS * total + tiny)
