@@ -88,7 +88,7 @@ def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
         before, best = best, likelier(_scanned_delays(best) + ([] if best.delay.any() else _shown_delays(best)))
         if best is before:
             break
-    if not best.delay.any():
+    if best.rounding or not best.delay.any():
         return best
     near = sorted({*range(-_NEAR, _NEAR + 1)} - {0}, key=abs)
     return likelier([best.delay + step * samples for samples in near], best.projection.p)

@@ -17,6 +17,7 @@ from ..._types import Array, Indices, Mask
 from ..._units import DERIVATIVES
 from ..regression.free import Delays, FreeProjection, FreeRows
 from ..regression.sections import PoleRegion
+from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from .constrained import Approach, StructuredFit
 from .layout import ChannelLayout
@@ -28,6 +29,7 @@ _MARGIN = 1.5  # samples by which a search may go beyond where it began
 _BROAD = 0.2  # damping ratio from which on modes may stand for a delay
 _ITERATIONS = 12  # of the most promising start
 _LIKELIER = 1.0  # by which the BIC falls where a delay on another side of the corner at a whole sample is taken
+_ROUNDING = 1e4 * EPS  # of outputs, below which nothing is told by what is left of them
 _FAR = 10.0  # times what free residues leave: from there no way leads to what they leave
 
 
@@ -111,7 +113,9 @@ def with_delays(
     approach, mask = promising[1].at_most(_ITERATIONS), promising[2]
     least = cost_of(approach.fit, layout.scales) - _LIKELIER / projection.rows
     step = np.pi / region.ceiling
-    for side in (-1, 1) if settled and np.ptp(now) == 0 else ():
+    # of exact data the likelihood tells rounding
+    power = sum(float(np.sum(rows.measured**2)) for rows in projection.experiments if isinstance(rows, FreeRecord))
+    for side in (-1, 1) if settled and np.ptp(now) == 0 and approach.fit.loss > _ROUNDING**2 * power else ():
         ends = sorted((now[0], now[0] + side * step))
         within = replace(bounds[0], values=np.array([sum(ends) / 2]), least=ends[0], most=ends[1])
         for cost, beginning, through_it in begun(within, bounds[0]):
