@@ -77,7 +77,10 @@ def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
             again = anew(replace(fit.lateness, outputs=delay), fit.offset, poles)
             now = 0.5 * (before - bic_within(again, first, last))
             least = _least_gain(fit, again) if likeliest is fit and not fit.delay.any() else gain
-            if now > least and _responds(again):
+            better = now > least
+            if likeliest.rounding and again.rounding:  # all of exact data, as other delays do: the least of them
+                better = bool(np.sum(np.abs(delay)) < np.sum(np.abs(likeliest.delay)))
+            if better and _responds(again):
                 likeliest, gain = replace(again, findings=fit.findings, delay_gain=best.delay_gain + now), now
                 if again.order < fit.order and not leaves_traces(again.projection):
                     break
