@@ -63,13 +63,8 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> Begun | None:
     outputs = len(path.counts)
     if sum(rows.length for rows in records) < _SAMPLES:
         return None
-    some = [
-        cut(record, slice(0, min(record.samples, _BEGINNING))) for record in channels if isinstance(record, Recording)
-    ]
-    begun = [rows for rows in search.path(some).plain.data if isinstance(rows, FreeRecord)]
-    samples = late_samples(begun, outputs, _are_felt(path)) if orders.are_open else 0
-    if samples:
-        path = search.path(channels, Lateness(np.full(outputs, samples * records[0].hold.h), path.input_delay))
+    if orders.are_open:
+        path = _late_path(channels, search, path)
         records = [record for record in path.plain.data if isinstance(record, FreeRecord)]
     foretold = likely_poles(records, outputs, orders)
     if foretold is None:
@@ -88,6 +83,18 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> Begun | None:
         stands = coloured.interrupted or bool(coloured.states and not leaves_traces(coloured.projection))
         return Begun(coloured, coloured, stands)
     return None if forced.beside is None else Begun(fit, forced, not errors_leave_traces(forced))
+
+
+def _late_path(channels: Experiments, search: Search, path: FreePath) -> FreePath:
+    """Return the path with the delay of all outputs that predictors show in the first samples, if there is one."""
+    recordings = [channel for channel in channels if isinstance(channel, Recording)]
+    some = [cut(recording, slice(0, min(recording.samples, _BEGINNING))) for recording in recordings]
+    records = [record for record in search.path(some).plain.data if isinstance(record, FreeRecord)]
+    outputs = len(path.counts)
+    samples = late_samples(records, outputs, _are_felt(path))
+    if not samples:
+        return path
+    return search.path(channels, Lateness(np.full(outputs, samples * records[0].hold.h), path.input_delay))
 
 
 def _are_felt(path: FreePath) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import argrelmin
 
 from ..._checks import EPS
-from ..._types import Array, Indices, Mask
+from ..._types import Array, ComplexArray, Indices, Mask
 from ..._units import DERIVATIVES
 from ..regression.free import Delays, FreeProjection, FreeRows
 from ..regression.sections import PoleRegion
@@ -92,42 +92,68 @@ def with_delays(
     through = [fed] + [projection.fed_through] * bool(np.any(projection.fed_through & ~fed))
     light = np.abs(projection.p.real) < _BROAD * np.abs(projection.p)
     poles = [projection.p] + [projection.p[light]] * bool(light.any() and not light.all() and not settled)
-
-    def begun(bounded: Delays, wider: Delays) -> Iterator[tuple[float, Approach, Mask | None]]:
-        """Yield what descents in the samples of wider bounds promise, where they begin, and what is fed through."""
-        rows: Sequence[FreeRows] = wider.rows(projection.experiments)  # type: ignore[type-var]
-        delayed: Sequence[FreeRows] = bounded.rows(rows)  # type: ignore[type-var]
-        for p in poles:
-            for mask in through if projection.has_feedthrough else [None]:
-                start = FreeProjection(delayed, p, mask)
-                beginning = Approach.towards(start, layout, hypothesis, region.about(start.sections), bounded)
-                cost = cost_of(beginning.fit, layout.scales) + np.log(max(beginning.share_ahead, EPS))
-                yield cost, beginning, mask
-
+    masks = through if projection.has_feedthrough else [None]
+    descents = _Descents(projection, layout, hypothesis, region, poles, masks)
     bounds = [_bounded(delays, region) for delays in starts]
-    promising = min(
-        (each for delays in bounds for each in begun(delays, delays)), key=lambda each: each[0], default=None
-    )
-    if promising is None:
+    beginnings = [each for delays in bounds for each in descents.begun(delays, delays)]
+    if not beginnings:
         return None
-    approach, mask = promising[1].at_most(_ITERATIONS), promising[2]
-    least = cost_of(approach.fit, layout.scales) - _LIKELIER / projection.rows
-    step = np.pi / region.ceiling
-    # of exact data the likelihood tells rounding
-    power = sum(float(np.sum(rows.measured**2)) for rows in projection.experiments if isinstance(rows, FreeRecord))
-    for side in (-1, 1) if settled and np.ptp(now) == 0 and approach.fit.loss > _ROUNDING**2 * power else ():
-        ends = sorted((now[0], now[0] + side * step))
-        within = replace(bounds[0], values=np.array([sum(ends) / 2]), least=ends[0], most=ends[1])
-        for cost, beginning, through_it in begun(within, bounds[0]):
-            way = beginning.at_most(_ITERATIONS) if cost < least else approach
-            if cost_of(way.fit, layout.scales) < least:
-                approach, mask, least = way, through_it, cost_of(way.fit, layout.scales)
+    _, beginning, mask = min(beginnings, key=lambda each: each[0])
+    approach = beginning.at_most(_ITERATIONS)
+    if settled and np.ptp(now) == 0:
+        approach, mask = descents.on_either_side(approach, mask, bounds[0])
     known = approach.fit
     far = known.loss / known.projection.rows > _FAR * projection.loss / projection.rows
     if far and not (settled or known.converged):
         return None
     fit = approach.at_most(None).fit
     return DelayedStructure(fit, FreeProjection(fit.projection.experiments, fit.p, mask))
+
+
+@dataclass(frozen=True)
+class _Descents:
+    """Descents to a structure with delays, from some poles of a free fit, with what may be fed through."""
+
+    projection: FreeProjection
+    layout: ChannelLayout
+    hypothesis: str
+    region: PoleRegion
+    poles: Sequence[ComplexArray]
+    masks: Sequence[Mask | None]
+
+    def begun(self, bounded: Delays, wider: Delays) -> Iterator[tuple[float, Approach, Mask | None]]:
+        """Yield what descents in the samples of wider bounds promise, where they begin, and what is fed through."""
+        rows: Sequence[FreeRows] = wider.rows(self.projection.experiments)  # type: ignore[type-var]
+        delayed: Sequence[FreeRows] = bounded.rows(rows)  # type: ignore[type-var]
+        for p in self.poles:
+            for mask in self.masks:
+                start = FreeProjection(delayed, p, mask)
+                region = self.region.about(start.sections)
+                beginning = Approach.towards(start, self.layout, self.hypothesis, region, bounded)
+                yield self.cost(beginning) + np.log(max(beginning.share_ahead, EPS)), beginning, mask
+
+    def cost(self, approach: Approach) -> float:
+        """Return the BIC of where a descent has come to, for each row of the data."""
+        return cost_of(approach.fit, self.layout.scales)
+
+    def on_either_side(self, approach: Approach, mask: Mask | None, whole: Delays) -> tuple[Approach, Mask | None]:
+        """Return the likeliest of a fit with a delay of all outputs, and those within the samples on either side.
+
+        At whole samples the likelihood has a corner, where a descent stops.  Of exact data it tells rounding.
+        """
+        rows = self.projection.experiments
+        power = sum(float(np.sum(record.measured**2)) for record in rows if isinstance(record, FreeRecord))
+        if approach.fit.loss <= _ROUNDING**2 * power:
+            return approach, mask
+        least, step = self.cost(approach) - _LIKELIER / self.projection.rows, np.pi / self.region.ceiling
+        for side in (-1, 1):
+            ends = sorted((whole.values[0], whole.values[0] + side * step))
+            within = replace(whole, values=np.array([sum(ends) / 2]), least=ends[0], most=ends[1])
+            for promised, beginning, through in self.begun(within, whole):
+                way = beginning.at_most(_ITERATIONS) if promised < least else approach
+                if self.cost(way) < least:
+                    approach, mask, least = way, through, self.cost(way)
+        return approach, mask
 
 
 def delays_of(projection: FreeProjection) -> Array:
