@@ -27,6 +27,7 @@ _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _SCANS = 3  # searches with the delays that the last one says
 LONGEST_DELAY = 24  # samples, up to which each is tried
 _PER_DECADE = 24  # delays beyond, each a tenth longer than the one before
+_FEW = 2  # modes beside which lags that come late are looked for first
 _NEAR = 3  # samples, by which a delay may be another for the poles that were found with it
 _LAGS = 6  # of different rates, with which delays are looked for
 _TOGETHER = 64  # outputs of a record, about: products of more of them with one another cost more than they spare
@@ -50,7 +51,8 @@ def of_late_lag(channels: Experiments, search: Search) -> FreeFit | None:
         return None
     samples, gain = likeliest
     delay = Lateness(np.full(len(path.counts), samples * rows[0].hold.h), path.input_delay)
-    fit = search.along(search.path(channels, delay), channels)
+    few = replace(search, most=min(search.most, _FEW))
+    fit = few.along(few.path(channels, delay), channels)
     if fit.interrupted:
         return fit
     lags = fit.states and np.all(are_heavy(fit.projection.p)) and not leaves_traces(fit.projection)

@@ -25,8 +25,8 @@ _RATES = 16  # of late lags, from the slowest to the fastest
 _EACH = 3  # of these is looked at first
 _PAIRS = 4  # of lags without a delay
 _SHARE = 10  # of the shortest record: no delay is longer
-_MOSTLY = 0.5  # of the squares of outputs that a late lag leaves at most
-_ROUGHLY = 0.6  # of those that the best of a few rates leaves
+_MOSTLY = 0.2  # of the squares of outputs that a late lag leaves at most
+_ROUGHLY = 0.35  # of those that the best of a few rates leaves
 _CLEARLY = 0.8  # of the squares that lags without a delay leave: a late one leaves less
 
 
