@@ -22,7 +22,7 @@ from ..search.late_lags import LateLagScan
 from ..uncertainty.residual_tests import ljung_box
 from .assumptions import Anew, Search, rows_as_in
 
-MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
+_MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
 _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _SCANS = 3  # searches with the delays that the last one says
 LONGEST_DELAY = 24  # samples, up to which each is tried
@@ -131,7 +131,7 @@ def bic_within(fit: FreeFit, least: float, most: float, more: int = 0) -> float:
 
 def are_heavy(p: ComplexArray) -> Mask:
     """Return which poles are lags or heavily damped modes, which may stand for a delay."""
-    return -p.real > MIMICS * np.abs(p)
+    return -p.real > _MIMICS * np.abs(p)
 
 
 def _responds(fit: FreeFit) -> bool:

@@ -74,8 +74,7 @@ def _likelier_late(late: FreeFit, on_time: FreeFit) -> FreeFit | None:
     """Return a fit with dead times and findings that say so, where it is likelier than one without; None elsewhere."""
     if on_time.interrupted:
         return replace(late, interrupted=True)
-    longest = _longest_dead_time(_of_fit(late))
-    gain = 0.5 * (_criterion(on_time, longest) - _criterion(late, longest))
+    gain = 0.5 * (_criterion(on_time) - _criterion(late))
     if gain <= TUNING.sure:
         return None
     times = zip(late.channels[0].input_labels, late.input_delay.tolist(), strict=True)
@@ -102,8 +101,7 @@ def _in_best_dead_times(fit: FreeFit, search: Search) -> FreeFit:
             break
         lateness = _lateness_of(fit.channels[0].dt * samples, len(fit.delay))
         again = search.anew(fit)(lateness, fit.offset, p)
-        longest = _longest_dead_time(_of_fit(fit))
-        if _criterion(again, longest) >= _criterion(fit, longest):
+        if _criterion(again) >= _criterion(fit):
             break
         fit = again
     return fit
@@ -172,7 +170,7 @@ def _longest_dead_time(rows: Sequence[FreeRecord]) -> int:
     return min(LONGEST_DELAY, min(record.length for record in rows) // 10)
 
 
-def _criterion(fit: FreeFit, longest: int) -> float:
+def _criterion(fit: FreeFit) -> float:
     """Return the BIC over the samples that the longest dead times leave to all fits, these among the parameters."""
-    most = longest * fit.channels[0].dt - float(fit.input_delay.max(initial=0.0))
+    most = _longest_dead_time(_of_fit(fit)) * fit.channels[0].dt - float(fit.input_delay.max(initial=0.0))
     return bic_within(fit, 0.0, most, numbers_of(_dead_samples(fit)))

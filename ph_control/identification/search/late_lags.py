@@ -117,16 +117,10 @@ class LateLagScan:
             y, basis, responses = self._columns(record, rates)
             window, whole = self._window(record), np.zeros((len(y) + len(basis) + 1, responses.shape[1]))
             whole[:, window] = [*y, *basis, np.ones(len(window))]
-
-            def along(rows: Array, response: Array) -> Array:
-                """Sums of products (rows, delays) with a response, later by each number of samples."""
-                later = correlate(rows, response[None], method="fft")
-                return np.asarray(later[:, len(response) - 1 :][:, :delays])
-
-            with_each = np.stack([along(whole[:-1], response) for response in responses], axis=-1)
+            with_each = np.stack([_products(whole[:-1], response, delays) for response in responses], axis=-1)
             products[record.outputs] += with_each[: len(y)]
             own = with_each[len(y) :]
-            squares = [[along(whole[-1:], a * b)[0] for b in responses] for a in responses]
+            squares = [[_products(whole[-1:], a * b, delays)[0] for b in responses] for a in responses]
             gram[record.outputs] += np.transpose(squares, (2, 0, 1)) - np.einsum("kdi,kdj->dij", own, own)
             total[record.outputs] += np.sum(y**2, axis=1)
         return _left_over(total[:, None], gram, products)
@@ -143,6 +137,12 @@ class LateLagScan:
             products[record.outputs] += y @ columns
             total[record.outputs] += np.sum(y**2, axis=1)
         return _left_over(total, gram, products)
+
+
+def _products(rows: Array, response: Array, delays: int) -> Array:
+    """Return sums of products (rows, delays) with a response (T,) that comes 0, 1, .. samples later."""
+    later = correlate(rows, response[None], method="fft")
+    return np.asarray(later[:, len(response) - 1 :][:, :delays])
 
 
 def _left_over(total: Array, gram: Array, products: Array) -> Array:
