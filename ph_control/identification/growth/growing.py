@@ -30,7 +30,7 @@ def grown(path: FreePath, start: ComplexArray, most: int, automatic: bool,
     model = after(path.reweighted(path.model(start)))
     best, missed = model, 0
     while missed < TUNING.patience and not path.is_exact(model):
-        more = _joined(path, model, most, automatic)
+        more = joined(path, model, most, automatic)
         if more is None:
             break
         model = after(more)
@@ -41,7 +41,7 @@ def grown(path: FreePath, start: ComplexArray, most: int, automatic: bool,
     return best
 
 
-def _joined(path: FreePath, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
+def joined(path: FreePath, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
     """Let a mode join, or several, or a real pole: what the criterion prefers.
 
     Beside a real pole that leaves white noise no mode is looked for.

@@ -11,6 +11,7 @@ from ..._options import Discretisation, Interpolation, InterpolationOrAuto
 from ..._types import Array, ComplexArray
 from ..data.channels import Recording
 from ..growth.ending import end_of_search, finished
+from ..growth.growing import joined
 from ..regression.free import Lateness
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import Experiments, RowOptions, records_of
@@ -156,14 +157,18 @@ class Search:
         return end_of_search(path, begin, self.most, self.automatic, channels, either_hold=self.held is None)
 
     def from_poles(self, path: FreePath, channels: Experiments, p: ComplexArray, bic: float) -> FreeFit | None:
-        """Return a rough fit with as many poles as some, about these; None if its BIC is no larger than another."""
+        """Return a rough fit with as many poles as some, about these; None if its BIC is no larger than another.
+
+        Nor is it that of a fit with a pole more, where the order is open.
+        """
         try:
             model = path.reweighted(path.model(p))
+            more = joined(path, model, self.most, True) if self.automatic else None
         except KeyboardInterrupt:
             if path.best is None:
                 raise
             return finished(path, path.best, channels, interrupted=True)
-        if path.criteria(path.loglik(model.losses), path.search.unknowns_of(model.p)).bic <= bic:
+        if any(path.bic(each) <= bic for each in (model, more) if each is not None):
             return None
         path.best = model
         return end_of_search(path, p, count_modes(p), False, channels, either_hold=self.held is None, refined=False)

@@ -188,6 +188,10 @@ class FreePath:
         """Criteria of a model with so many unknowns beside the variances."""
         return Criteria.of(loglik, unknowns + len(self.counts), float(self.counts.sum()))
 
+    def bic(self, model: FreeModel) -> float:
+        """BIC of a model in noise of each output."""
+        return self.criteria(self.loglik(model.losses), self.search.unknowns_of(model.p)).bic
+
     def cost(self, model: FreeModel) -> float:
         """Return the criterion that the order is chosen by, with noise of each output as coloured as it prefers."""
         cost = self.criteria(self.loglik(model.losses), self.search.unknowns_of(model.p)).by_name(
