@@ -19,10 +19,13 @@ from ..search.channel_rows import Experiments
 from ..search.fitted_modes import FreeFit
 from ..search.free_search import Records
 from ..search.late_lags import LateLagScan
+from ..search.path import FreePath
+from ..search.predicted_delay import predicted_delay
 from ..uncertainty.residual_tests import ljung_box
 from .assumptions import Anew, Search, rows_as_in
 
 _MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
+_BEGINNING = 100_000  # samples of each record in which predictors show delays
 _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _SCANS = 3  # searches with the delays that the last one says
 LONGEST_DELAY = 24  # samples, up to which each is tried
@@ -50,13 +53,44 @@ def of_late_lag(channels: Experiments, search: Search) -> FreeFit | None:
     if likeliest is None:
         return None
     samples, gain = likeliest
-    delay = Lateness(np.full(len(path.counts), samples * rows[0].hold.h), path.input_delay)
+    delay = replace(path.lateness, outputs=np.full(len(path.counts), samples * rows[0].hold.h))
     few = replace(search, most=min(search.most, _FEW))
     fit = few.along(few.path(channels, delay), channels)
     if fit.interrupted:
         return fit
     lags = fit.states and np.all(are_heavy(fit.projection.p)) and not leaves_traces(fit.projection)
     return replace(fit, delay_gain=gain) if lags else None
+
+
+def predicted_lateness(channels: Experiments, search: Search) -> tuple[Lateness, float]:
+    """Return the delay of all outputs that predictors show in the first samples, and the log-likelihood it gains."""
+    given, path = search.assumptions, search.path(channels)
+    if not isinstance(channels[0], Recording) or given.delay is not None:
+        return path.lateness, 0.0
+    some = [cut(channel, slice(0, min(channel.samples, _BEGINNING))) for channel in channels]
+    records = [record for record in search.path(some).plain.data if isinstance(record, FreeRecord)]
+    samples, gain = predicted_delay(records, len(path.counts), feel_at_once(path))
+    return replace(path.lateness, outputs=np.full(len(path.counts), samples * channels[0].dt)), gain
+
+
+def feel_at_once(path: FreePath) -> bool:
+    """Whether some outputs answer to inputs at once: accelerations, or to inputs that change between samples."""
+    return bool(path.felt.any()) or any(
+        rows.hold.intersample == "foh" for rows in path.plain.data if isinstance(rows, FreeRecord)
+    )
+
+
+def of_predicted_delay(channels: Experiments, search: Search, late: Lateness, gain: float) -> FreeFit | None:
+    """Fit outputs as late as predictors show, which gains so much log-likelihood; None if none or traces are left.
+
+    A search without that delay takes modes for it.  Of exact data all delays explain all.
+    """
+    if not gain:
+        return None
+    fit = search.along(search.path(channels, late), channels)
+    if fit.interrupted or (_responds(fit) and not fit.rounding and not leaves_traces(fit.projection)):
+        return replace(fit, delay_gain=gain)
+    return None
 
 
 def on_time(fit: FreeFit, anew: Anew) -> FreeFit:

@@ -22,7 +22,7 @@ from ..search.criteria import Orders
 from ..search.fitted_modes import FreeFit
 from ..search.path import FreePath
 from .assumptions import Assumptions, Search, alone
-from .delays import are_heavy, may_be_late, of_late_lag, on_time
+from .delays import are_heavy, may_be_late, of_late_lag, of_predicted_delay, on_time, predicted_lateness
 from .drifts import beside_drift, with_constants
 from .gain_noise import in_noise_of_the_gain
 from .late_inputs import of_late_inputs, with_dead_times
@@ -147,9 +147,13 @@ def _in_white_noise_and_beside(
     if start is None:
         several = search.assumptions.inputs_may_be_late(channels)
         late = of_late_inputs(channels, search) if several else of_late_lag(channels, search)
-    begun = in_prevailing_noise(channels, search) if start is None and late is None else None
-    if begun is not None and begun.stands:
-        return begun.fit, begun.forced, _noise_beside(begun.fit, path, search, start)
+    begun = None
+    if start is None and late is None:
+        shown, gain = predicted_lateness(channels, search)
+        begun = in_prevailing_noise(channels, search, shown)
+        if begun is not None and begun.stands:
+            return begun.fit, begun.forced, _noise_beside(begun.fit, path, search, start)
+        late = of_predicted_delay(channels, search, shown, gain)
     fit = _or_likelier(late or search.along(path, channels), path, search, start)
     in_noise = _noise_beside(fit, path, search, start)
     forced = fit if fit.interrupted else in_noise(fit)

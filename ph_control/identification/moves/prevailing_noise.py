@@ -8,28 +8,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..._types import ComplexArray
-from ..data.channels import Recording
-from ..data.parts import cut
 from ..regression.free import FreeProjection, Lateness
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.channel_rows import Experiments
 from ..search.criteria import Orders
 from ..search.fitted_modes import FreeFit, are_broad
-from ..search.path import FreePath
+from ..search.predicted_delay import predicted_delay
 from ..search.predictor_states import likeliest, predictors_of, signals_of
 from .assumptions import Search
-from .delays import LONGEST_DELAY, errors_leave_traces, leaves_traces
+from .delays import errors_leave_traces, feel_at_once, leaves_traces
 from .drifts import are_slow, drift_of, may_drift, with_constants
 
 InNoise = Callable[[FreeFit], FreeFit]
 
 _SAMPLES = 1500  # of a record whose errors would show what is missing
-_BEGINNING = 100_000  # samples of each record that delays are looked for in
 _ROWS = 100  # of a covariance that only has to tell whether forces prevail
 _CLOSE = 3  # models that are looked at
-_WORSE = 4  # delays one after the other that foretell less, after which no longer ones are looked at
-_SPARED = 0.5  # of the states that a delay spares, which have to show in the criterion
 _DECAYS = 2.0  # time constants of the slowest mode that records last
 _ROUNDING = 18.0  # logarithm of the ratio of variances for each output: what is left is rounding
 _PREVAILING = 0.1  # logarithm of the ratio of variances for each output
@@ -44,7 +39,7 @@ class Begun:
     stands: bool
 
 
-def in_prevailing_noise(channels: Experiments, search: Search) -> Begun | None:
+def in_prevailing_noise(channels: Experiments, search: Search, late: Lateness) -> Begun | None:
     """Fit modes in noise that is far from white: beside forces that nobody measured, or coloured noise of each output.
 
     White noise tells little of the poles of such records, and a search in it takes modes for what the noise does.  So
@@ -58,14 +53,11 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> Begun | None:
     given = search.assumptions
     if given.white or given.delay is not None:
         return None
-    path, orders = search.path(channels), search.orders
+    path, orders = search.path(channels, late), search.orders
     records = [record for record in path.plain.data if isinstance(record, FreeRecord)]
     outputs = len(path.counts)
     if sum(rows.length for rows in records) < _SAMPLES:
         return None
-    if orders.are_open:
-        path = _late_path(channels, search, path)
-        records = [record for record in path.plain.data if isinstance(record, FreeRecord)]
     foretold = likely_poles(records, outputs, orders)
     if foretold is None:
         return None
@@ -83,51 +75,6 @@ def in_prevailing_noise(channels: Experiments, search: Search) -> Begun | None:
         stands = coloured.interrupted or bool(coloured.states and not leaves_traces(coloured.projection))
         return Begun(coloured, coloured, stands)
     return None if forced.beside is None else Begun(fit, forced, not errors_leave_traces(forced))
-
-
-def _late_path(channels: Experiments, search: Search, path: FreePath) -> FreePath:
-    """Return the path with the delay of all outputs that predictors show in the first samples, if there is one."""
-    recordings = [channel for channel in channels if isinstance(channel, Recording)]
-    some = [cut(recording, slice(0, min(recording.samples, _BEGINNING))) for recording in recordings]
-    records = [record for record in search.path(some).plain.data if isinstance(record, FreeRecord)]
-    outputs = len(path.counts)
-    samples = late_samples(records, outputs, _are_felt(path))
-    if not samples:
-        return path
-    return search.path(channels, Lateness(np.full(outputs, samples * records[0].hold.h), path.input_delay))
-
-
-def _are_felt(path: FreePath) -> bool:
-    """Whether some outputs answer to inputs at once: accelerations, or to inputs that change between samples."""
-    return bool(path.felt.any()) or any(
-        rows.hold.intersample == "foh" for rows in path.plain.data if isinstance(rows, FreeRecord)
-    )
-
-
-def late_samples(records: Sequence[FreeRecord], outputs: int, felt: bool) -> int:
-    """Return by how many samples outputs come later than the response to inputs, so that predictors foretell most.
-
-    Each sample of a delay spares a state for each input.  None come before: in a closed loop inputs answer to outputs.
-    Unless inputs are `felt` at once, a first sample of a response that is fed through is one of the response.
-    """
-    costs, fed, spared = list[float](), list[bool](), 0.0
-    for delay in range(LONGEST_DELAY + 1):
-        # of the same samples
-        late = [rows.delayed(delay * rows.hold.h, 0.0, LONGEST_DELAY * rows.hold.h) for rows in records]
-        signals = signals_of(late, outputs)
-        predictors = predictors_of(signals, outputs, _ROWS) if signals else []
-        if not predictors:
-            return 0
-        samples = sum(each.shape[1] for each in signals or ())
-        cost, states, best = likeliest(predictors, samples, predictors[0].largest)[0]
-        costs.append(cost)
-        spared = best.inputs * (best.signals + outputs) * float(np.log(samples * outputs))
-        fed.append(not felt and best.feeds_through(states, samples))
-        if min(costs[-_WORSE:]) > min(costs):
-            break
-    delay = int(np.argmin(costs))
-    delay -= bool(delay and fed[delay])
-    return delay if costs[0] - min(costs) > _SPARED * delay * spared else 0
 
 
 def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) -> tuple[ComplexArray, float] | None:
@@ -197,7 +144,8 @@ def beside_forces_and_more(
     best = forced
     try:
         records = [rows for rows in forced.projection.experiments if isinstance(rows, FreeRecord)]
-        samples = late_samples(records, len(fit.scales), _are_felt(search.path(fit.channels))) if may_be_late else 0
+        felt = feel_at_once(search.path(fit.channels))
+        samples = predicted_delay(records, len(fit.scales), felt)[0] if may_be_late else 0
         if samples:
             delay = np.full(len(fit.scales), samples * fit.channels[0].dt)
             late = _in_other_rows(best, fit, replace(fit.lateness, outputs=delay), fit.offset, in_noise, search)

@@ -14,7 +14,7 @@ from ..._types import Array, ComplexArray, Mask
 from ..._units import feels_force
 from ...exceptions import IdentificationError
 from ..data.channels import Recording, ResponseMatrix
-from ..regression.free import FreeProjection, refine_free
+from ..regression.free import FreeProjection, Lateness, refine_free
 from ..regression.frequency_rows import FreeResponse
 from ..regression.sections import PoleRegion, Sections
 from ..regression.time_rows import FreeRecord
@@ -134,6 +134,11 @@ class FreePath:
             if isinstance(rows, FreeRecord) and rows.dead_samples is not None:
                 delays[rows.acting] = rows.hold.h * rows.dead_samples
         return delays
+
+    @property
+    def lateness(self) -> Lateness:
+        """Delays of outputs and inputs."""
+        return Lateness(self.delay, self.input_delay)
 
     def _counted(self, search: FreeSearch) -> Array:
         """Real equations of each output in some rows."""
