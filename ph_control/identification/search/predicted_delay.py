@@ -13,6 +13,7 @@ from .predictor_states import likeliest, predictors_of, signals_of
 _ROWS = 100  # of a covariance
 _SHARE = 10  # of the shortest record: no delay is longer
 _WORSE = 4  # delays one after the other that foretell less, after which no longer ones are looked at
+_FEW = 8  # delays after which no longer ones are looked at unless states are spared
 _SPARED = 0.5  # of the states that a delay spares, which have to show in the criterion
 
 
@@ -45,9 +46,8 @@ def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> 
     tuple of int and float
         Samples, and the log-likelihood that they gain; 0 where records are too short, or show no delay.
     """
-    shortest = min((rows.length for rows in records), default=0)
-    most = shortest // _SHARE
-    delayed = list[_Delayed]()
+    most = min((rows.length for rows in records), default=0) // _SHARE
+    delayed, spared = list[_Delayed](), 0.0
     for delay in range(most + 1):
         # of the same samples
         late = [rows.delayed(delay * rows.hold.h, 0.0, most * rows.hold.h) for rows in records]
@@ -56,17 +56,23 @@ def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> 
         if not predictors:
             return 0, 0.0
         samples = sum(each.shape[1] for each in signals or ())
+        price = float(np.log(samples * outputs))
         cost, states, best = likeliest(predictors, samples, predictors[0].largest)[0]
         fed = not felt and best.feeds_through(states, samples)
         delayed.append(_Delayed(cost, samples * float(predictors[0].errors[-1]), fed))
-        if min(each.cost for each in delayed[-_WORSE:]) > min(each.cost for each in delayed):
+        least, spared = min(each.cost for each in delayed), best.inputs * (best.signals + outputs) * price
+        worse = min(each.cost for each in delayed[-_WORSE:]) > least
+        if worse or (delay > _FEW and delayed[0].cost - least < _SPARED * delay * spared):
             break
-    likely = min(range(len(delayed)), key=lambda delay: delayed[delay].cost) if delayed else 0
-    delay, charge = likely, best.inputs * outputs * float(np.log(samples * outputs))
+    if not delayed:
+        return 0, 0.0
+    likely = min(range(len(delayed)), key=lambda delay: delayed[delay].cost)
+    gain = delayed[0].cost - delayed[likely].cost
+    if gain <= _SPARED * likely * spared:
+        return 0, 0.0
     # states of a short past may hide the last samples
-    while likely and delay + 1 < len(delayed) and delayed[delay + 1].loss < delayed[delay].loss + charge:
+    delay, charge = likely, best.inputs * outputs * price
+    while delay + 1 < len(delayed) and delayed[delay + 1].loss < delayed[delay].loss + charge:
         delay += 1
-    delay -= bool(delay and delayed[delay].fed)
-    gain = delayed[0].cost - delayed[likely].cost if delay else 0.0
-    spared = likely * best.inputs * (best.signals + outputs) * float(np.log(samples * outputs))
-    return (delay, 0.5 * gain) if gain > _SPARED * spared else (0, 0.0)
+    delay -= bool(delayed[delay].fed)
+    return (delay, 0.5 * gain) if delay else (0, 0.0)
