@@ -12,7 +12,7 @@ from .predictor_states import likeliest, predictors_of, signals_of
 
 _ROWS = 100  # of a covariance
 _SHARE = 10  # of the shortest record: no delay is longer
-_WORSE = 4  # delays one after the other that foretell less, after which no longer ones are looked at
+_WORSE = 2  # delays one after the other that foretell less, after which no longer ones are looked at
 _FEW = 8  # delays after which no longer ones are looked at unless states are spared
 _SPARED = 0.5  # of the states that a delay spares, which have to show in the criterion
 
