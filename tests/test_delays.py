@@ -171,6 +171,15 @@ def test_the_error_of_a_delay_is_what_it_errs_by():
     assert 0.4 < np.mean(np.square(z)) < 1.9
 
 
+@pytest.mark.parametrize("late", [7, *slowly(31, 90)])
+def test_modes_that_come_later_than_the_past_of_predictors_are_no_more_modes(late):
+    u, y, poles = skewed(3, (float(late), float(late)), samples=1500)
+    result = fitted(u, y)
+    assert (result.order, result.states) == (3, 6)
+    np.testing.assert_allclose(result.delay / DT, late, atol=0.02)
+    np.testing.assert_allclose(result.poles, poles, rtol=3e-3)
+
+
 @pytest.fixture(scope="module")
 def late_lag():
     """Fit of a lag of 4 samples, late by 2.6 samples, after steps of its input."""

@@ -12,18 +12,43 @@ from .predictor_states import likeliest, predictors_of, signals_of
 
 _ROWS = 100  # of a covariance
 _SHARE = 10  # of the shortest record: no delay is longer
-_WORSE = 2  # delays one after the other that foretell less, after which no longer ones are looked at
+_LONGEST = 1000  # samples
+_WORSE = 2, 6  # delays one after the other that foretell less than none, or than some, after which none is looked at
 _FEW = 8  # delays after which no longer ones are looked at unless states are spared
 _SPARED = 0.5  # of the states that a delay spares, which have to show in the criterion
 
 
 @dataclass(frozen=True)
 class _Delayed:
-    """BIC of the best predictor, twice the negative log-likelihood of all of the past, whether inputs feed through."""
+    """The best predictor after a delay: its BIC, twice the negative log-likelihood of all of the past.
+
+    What a state costs; the shortest past; whether inputs foretell anything, and are fed through.
+    """
 
     cost: float
     loss: float
+    spared: float
+    charge: float
+    past: int
+    shown: bool
     fed: bool
+
+    @classmethod
+    def by(cls, samples: int, records: Sequence[FreeRecord], outputs: int, most: int) -> _Delayed | None:
+        """Delay by some samples, of those that are left by the most; None where records are too short."""
+        late = [rows.delayed(samples * rows.hold.h, 0.0, most * rows.hold.h) for rows in records]
+        signals = signals_of(late, outputs)
+        predictors = predictors_of(signals, outputs, _ROWS) if signals else []
+        if not predictors:
+            return None
+        count = sum(each.shape[1] for each in signals or ())
+        longest, price = predictors[0], float(np.log(count * outputs))
+        cost, states, best = likeliest(predictors, count, longest.largest)[0]
+        return cls(
+            cost, count * float(longest.errors[-1]), best.inputs * (best.signals + outputs) * price,
+            best.inputs * outputs * price, longest.horizon, longest.shows_inputs(count),
+            best.feeds_through(states, count),
+        )  # fmt: skip
 
 
 def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> tuple[int, float]:
@@ -44,35 +69,37 @@ def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> 
     Returns
     -------
     tuple of int and float
-        Samples, and the log-likelihood that they gain; 0 where records are too short, or show no delay.
+        Samples, up to a tenth of the shortest record and 1000, and the log-likelihood that they gain; 0 where records
+        are too short, or show no delay.
     """
-    most = min((rows.length for rows in records), default=0) // _SHARE
-    delayed, spared = list[_Delayed](), 0.0
-    for delay in range(most + 1):
-        # of the same samples
-        late = [rows.delayed(delay * rows.hold.h, 0.0, most * rows.hold.h) for rows in records]
-        signals = signals_of(late, outputs)
-        predictors = predictors_of(signals, outputs, _ROWS) if signals else []
-        if not predictors:
-            return 0, 0.0
-        samples = sum(each.shape[1] for each in signals or ())
-        price = float(np.log(samples * outputs))
-        cost, states, best = likeliest(predictors, samples, predictors[0].largest)[0]
-        fed = not felt and best.feeds_through(states, samples)
-        delayed.append(_Delayed(cost, samples * float(predictors[0].errors[-1]), fed))
-        least, spared = min(each.cost for each in delayed), best.inputs * (best.signals + outputs) * price
-        worse = min(each.cost for each in delayed[-_WORSE:]) > least
-        if worse or (delay > _FEW and delayed[0].cost - least < _SPARED * delay * spared):
-            break
-    if not delayed:
+    most = min(min((rows.length for rows in records), default=0) // _SHARE, _LONGEST)
+
+    def after(delay: int) -> _Delayed | None:
+        return _Delayed.by(delay, records, outputs, most)
+
+    none = first = after(0)
+    begin = 0
+    # of a delay that is longer than the past inputs show nothing
+    while first is not None and not first.shown and begin + first.past // 2 <= most:
+        begin += first.past // 2
+        first = after(begin)
+    if none is None or first is None or not first.shown:
         return 0, 0.0
-    likely = min(range(len(delayed)), key=lambda delay: delayed[delay].cost)
-    gain = delayed[0].cost - delayed[likely].cost
-    if gain <= _SPARED * likely * spared:
+    tried = [first]
+    for delay in range(begin + 1, most + 1):
+        tried.append(after(delay) or none)
+        least = min(each.cost for each in tried)
+        patience = _WORSE[bool(begin) or first.cost > least]
+        spared = _SPARED * (delay - begin) * first.spared
+        if min(each.cost for each in tried[-patience:]) > least or (len(tried) > _FEW and first.cost - least < spared):
+            break
+    likely = min(range(len(tried)), key=lambda place: tried[place].cost)
+    gain = none.cost - tried[likely].cost
+    if gain <= _SPARED * likely * first.spared:
         return 0, 0.0
     # states of a short past may hide the last samples
-    delay, charge = likely, best.inputs * outputs * price
-    while delay + 1 < len(delayed) and delayed[delay + 1].loss < delayed[delay].loss + charge:
-        delay += 1
-    delay -= bool(delayed[delay].fed)
-    return (delay, 0.5 * gain) if delay else (0, 0.0)
+    last = likely
+    while last + 1 < len(tried) and tried[last + 1].loss < tried[last].loss + first.charge:
+        last += 1
+    delay = begin + last - bool(tried[last].fed and not felt)
+    return (delay, 0.5 * gain) if delay > 0 else (0, 0.0)

@@ -9,12 +9,14 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.stats import chi2
 
 from ..._types import Array
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 
 _RANK = 1e-10  # of a variance: what cannot be told from rounding
+_CHANCE = 1e-6  # probability of what inputs that do nothing foretell
 _SAMPLES_EACH = 10  # of the records for each sample of the past of each signal
 
 
@@ -138,6 +140,15 @@ class PredictorStates:
         least = rows[:, -p:] @ rows[:, -p:].T
         explained = np.concatenate([np.zeros((1, p, p)), np.cumsum(columns[:, :, None] * columns[:, None], axis=0)])
         return np.asarray(np.linalg.slogdet(least + explained)[1][::-1])
+
+    def shows_inputs(self, samples: int) -> bool:
+        """Return whether inputs of so many samples foretell more than chance beside past outputs."""
+        S, p, q = self._covariance, self.outputs, self.signals
+        past = (q * np.arange(1, self.horizon + 1)[:, None] + np.arange(p)).ravel()
+        coefficients = cho_solve(cho_factor(S[np.ix_(past, past)]), S[past, :p])
+        alone = float(np.linalg.slogdet(S[:p, :p] - S[:p, past] @ coefficients)[1])
+        numbers = p * self.inputs * (self.horizon + 1)
+        return bool(chi2.sf(samples * (alone - self.errors[-1]), numbers) < _CHANCE)
 
     def feeds_through(self, states: int, samples: int) -> bool:
         """Return whether present inputs foretell more than chance beside so many states, in so many samples."""
