@@ -2,9 +2,9 @@
 
 python -m benchmarks.impedance [--seeds N] [--folder FOLDER]
 
-The folder has example data of impedance.py: Circuit1_EIS_1.z to Circuit3_EIS_1.z and exampleData.csv.  Each is fitted by
-its published circuit with impedance.py too, if that is installed.  Of the battery a line says what the best sum of real
-poles with positive elements leaves, by non-negative least squares with 400 time constants.
+The folder has example data of impedance.py: Circuit1_EIS_1.z to Circuit3_EIS_1.z and exampleData.csv.  Each is fitted
+by its published circuit with impedance.py too, if that is installed.  Of the battery a line says what the best sum of
+real poles with positive elements leaves, by non-negative least squares with 400 time constants.
 """
 
 from __future__ import annotations
@@ -87,26 +87,25 @@ CALLS: dict[str, Callable[[Any, Any], tuple[Any, dict[str, tuple[float, float]]]
 def coverage(name: str, call: str, seeds: int) -> None:
     """Print one line: whether elements, their errors and passivity are right."""
     elements, _ = CIRCUITS[name]
-    z, refused, passive, spent = [], 0, 0, 0.0
+    z, right, passive, spent = [], 0, 0, 0.0
     for seed in range(seeds):
         data, begin = simulated(name, seed), time.perf_counter()
         try:
             fit, fitted = CALLS[call](data, elements)
         except phc.StructureError:
-            refused += 1
             continue
         finally:
             spent += time.perf_counter() - begin
-        if set(fitted) != set(elements):
-            continue
+        right += set(fitted) == set(elements)
         passive += phc.passivity(fit.system).is_passive
-        z.append([(fitted[key][0] - value) / fitted[key][1] for key, (_, value) in elements.items()])
+        if set(fitted) >= set(elements):
+            z.append([(fitted[key][0] - value) / fitted[key][1] for key, (_, value) in elements.items()])
     each = np.array(z)
     covered = 100 * np.mean(np.abs(each) < 1.96, axis=0)
     print(
-        f"| {name} | {call} | {len(each)} of {seeds} | {passive} | {covered.mean():.1f} ({covered.min():.0f} to "
+        f"| {name} | {call} | {len(each)} | {right} | {passive} | {covered.mean():.1f} ({covered.min():.0f} to "
         f"{covered.max():.0f}) | {np.mean(each**2):.2f} ({np.mean(each**2, axis=0).min():.2f} to "
-        f"{np.mean(each**2, axis=0).max():.2f}) | {spent / seeds:.2f} |" + f" {refused} refused" * bool(refused)
+        f"{np.mean(each**2, axis=0).max():.2f}) | {spent / seeds:.2f} |"
     )
 
 
@@ -191,7 +190,9 @@ def battery(folder: Path) -> None:
     for lines in (np.flatnonzero(Z.imag < 0), np.arange(len(Z))):
         f, z = hertz[lines], Z[lines]
         print(f"battery, {len(f)} lines to {f[-1]:.4g} Hz, scatter {scatter(f, z):.2f} %")
-        print(f"  best of RC elements {best_of_real_poles(f, z, False):.2f} %, RC and RL {best_of_real_poles(f, z, True):.2f} %")
+        print(
+            f"  best of RC elements {best_of_real_poles(f, z, False):.2f} %, RC and RL {best_of_real_poles(f, z, True):.2f} %"
+        )
         for options in ({}, {"structure": "passive", "real_poles": 9}, {"structure": "passive", "real_poles": 10}):
             begin = time.perf_counter()
             fit = phc.pem(spectrum(z, f), **options)
@@ -216,7 +217,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--folder", type=Path, help="with measured spectra")
     options = parser.parse_args(arguments)
-    print("| circuit | call | elements right | passive | cover [%] | mean z² | s |\n|---|---|---|---|---|---|---|")
+    print("| circuit | call | all elements | no others | passive | cover [%] | mean z² | s |")
+    print("|---|---|---|---|---|---|---|---|")
     for name in CIRCUITS:
         for call in CALLS if options.seeds else ():
             coverage(name, call, options.seeds)

@@ -3,9 +3,9 @@
 A section has up to four elements.  Of an impedance these are a capacitor, a resistor and a coil side by side, and a
 resistor in series with the coil,
 
-    alpha (s + q) / (s^2 + 2 zeta d s + d^2),   C = 1/alpha, 1/R = C (2 zeta d - q), L = alpha / (d^2 - q (2 zeta d - q)),
+    alpha (s + q) / (s^2 + 2 zeta d s + d^2):   C = 1/alpha,   1/R = C (2 zeta d - q),   L = 1/(C (d^2 - q/(C R))),
 
-with `q L` in series; a real pole has the first two, or the middle two and a share in the resistance at infinity.  An
+and `q L` in series; a real pole has the first two, or the middle two and a share in the resistance at infinity.  An
 admittance has the dual elements.
 """
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -71,40 +72,73 @@ class _OnePort:
     covariance: Array
     known: Mask
     is_real: Mask  # (n,) poles
-    absent: Mask  # (2 n + 1,) elements: losses of modes, inner losses of modes, resistor of its own
+    pairs: tuple[tuple[int, int], ...] = ()  # places of real poles that are a mode together
+    absent: Mask | None = None  # (2 k + 1,) losses and inner losses of the k modes, and the resistor of its own
 
     @classmethod
     def of(cls, fit: Any) -> _OnePort:
         """Take the numbers of a fit in the order of its covariance."""
-        poles, rho, n = fit.poles, fit.residues[:, 0, 0], len(fit.poles)
+        poles, rho = fit.poles, fit.residues[:, 0, 0]
         is_real, size = poles.imag == 0, np.abs(poles)
         zeta = np.where(is_real, 1.0, -poles.real / np.where(is_real, 1.0, size))
         theta = np.concatenate([size, zeta, rho.real, rho.imag, np.ravel(fit.feedthrough)])
         known = np.isfinite(np.diag(fit.covariance))
         covariance = np.where(known[:, None] & known, fit.covariance, 0.0)
-        return cls(theta, covariance, known | (theta == 0), is_real, np.zeros(2 * n + 1, bool))
+        return cls(theta, covariance, known | (theta == 0), is_real).with_pairs()
+
+    @property
+    def lone(self) -> list[int]:
+        """Places of the real poles that are no part of a mode."""
+        paired = {place for pair in self.pairs for place in pair}
+        return [place for place in np.flatnonzero(self.is_real).tolist() if place not in paired]
+
+    def modes(self, theta: Values) -> Values:
+        """Coefficients (4, k) of the modes `(alpha s + beta) / (s^2 + loss s + square)`."""
+        size, zeta, real, imag = theta[:-1].reshape(4, -1)
+        l = np.flatnonzero(~self.is_real)
+        turn = np.sqrt(1 - zeta[l] ** 2)
+        broad = [2 * real[l], 2 * size[l] * (zeta[l] * real[l] - turn * imag[l]), 2 * zeta[l] * size[l], size[l] ** 2]
+        i, j = np.array(self.pairs, int).reshape(-1, 2).T
+        paired = [real[i] + real[j], real[i] * size[j] + real[j] * size[i], size[i] + size[j], size[i] * size[j]]
+        return np.concatenate([np.array(broad), np.array(paired)], axis=1)
 
     def losses(self, theta: Values) -> Values:
-        """Measures (2 n + 1,) of elements that may be 0: losses and inner losses of modes (1 of real poles), resistor."""
-        (size, zeta, real, imag), through = theta[:-1].reshape(4, -1), theta[-1]
-        inner = 2 * size * (zeta * real - np.sqrt(np.where(self.is_real, 0.0, 1 - zeta**2)) * imag)
-        losses = np.where(self.is_real, 1.0, np.array([4 * zeta * size * real - inner, inner]))
-        above = np.where(self.is_real & (real.real < 0), real / np.where(size == 0, 1.0, size), 0.0)
-        return np.append(losses.ravel(), through + above.sum())
+        """Measures (2 k + 1,) of elements that may be 0: losses and inner losses of modes, resistor of its own."""
+        alpha, beta, loss, _ = self.modes(theta)
+        size, _, real, _ = theta[:-1].reshape(4, -1)
+        above = sum(real[place] / size[place] for place in self.lone if real[place].real < 0)
+        return np.concatenate([loss * alpha - beta, beta, [theta[-1] + above]])
+
+    def with_pairs(self) -> _OnePort:
+        """Join lags of negative residue with faster ones where no resistor is large enough for both."""
+        one_port = self
+        size, _, real, _ = self.theta[:-1].reshape(4, -1)
+        while True:
+            resistor = one_port.losses(self.theta)[-1]
+            error = _deviations(_derivatives(one_port.losses, self.theta)[-1:], self.covariance)[0]
+            slow = [place for place in one_port.lone if real[place] < 0]
+            if resistor >= -_WITHIN * error or not slow:
+                return one_port
+            first = max(slow, key=lambda place: -real[place] / size[place])
+            faster = [place for place in one_port.lone if real[place] > 0 and size[place] > size[first]]
+            if not faster:
+                return one_port
+            pair = (first, min(faster, key=lambda place: size[place]))
+            one_port = replace(one_port, pairs=(*one_port.pairs, pair))
 
     def without_unseen(self, kind: Immittance) -> _OnePort:
-        """Leave out what is 0 within its errors: estimates given that it is, to first order; refuse negative elements."""
+        """Leave out what is 0 within its errors, with all estimates given that it is; refuse negative elements."""
         values, J, C = self.losses(self.theta), _derivatives(self.losses, self.theta), self.covariance
         errors = _deviations(J, C)
-        (size, _, real, imag), through = self.theta[:-1].reshape(4, -1), self.theta[-1]
-        strength = 2 * size * np.hypot(real, imag)
-        scale = np.concatenate([strength, strength, [max(abs(through), abs(through - values[-1]))]])
+        alpha, beta, loss, square = self.modes(self.theta)
+        strength = loss * np.abs(alpha) + np.abs(beta) + np.sqrt(square) * np.abs(alpha)
+        scale = np.concatenate([strength, strength, [2 * abs(self.theta[-1]) + abs(values[-1])]])
         absent = np.abs(values) <= _WITHIN * errors + _ROUNDING * scale
         for place in np.flatnonzero(~absent & (values < 0))[:1].tolist():
-            mode = place % len(size) if place < 2 * len(size) else None
-            raise _not_in_foster_form(kind, None if mode is None else float(size[mode]), values[place], errors[place])
-        absent &= np.append(np.tile(~self.is_real, 2), True)
-        estimated = absent & (errors > 0)  # others are absent by the structure of the fit
+            frequency = None if place == 2 * len(square) else float(np.sqrt(square[place % len(square)]))
+            raise _not_in_foster_form(kind, frequency, values[place], errors[place])
+        # others are absent by the structure of the fit: their variance is the rounding of its terms
+        estimated = absent & (errors**2 > _ROUNDING * (J**2 @ np.diag(C)))
         if not estimated.any():
             return replace(self, absent=absent)
         G = J[estimated] / errors[estimated, None]
@@ -117,28 +151,23 @@ class _OnePort:
         values, J = self._values(self.theta).real, _derivatives(self._values, self.theta)
         errors = np.where(np.any(J[:, ~self.known], axis=1), np.nan, _deviations(J, self.covariance))
         rows = [_Section(*pair) for pair in zip(values.reshape(-1, 4), errors.reshape(-1, 4), strict=True)]
-        order = [len(self.is_real), *np.flatnonzero(self.is_real), *np.flatnonzero(~self.is_real)]
-        return [rows[place] for place in order if rows[place].values.any()]
+        return [row for row in rows if row.values.any()]
 
     def _values(self, theta: Values) -> Values:
-        """Values of all sections in a row, the resistor last."""
-        n, (size, zeta, real, _) = len(self.is_real), theta[:-1].reshape(4, -1)
-        losses = np.where(self.absent, 0.0, self.losses(theta))
-        values = np.zeros((n + 1, 4), complex)
-        for l in np.flatnonzero(real):
-            d, rho = size[l], real[l]
-            if not self.is_real[l]:
-                alpha = 2 * rho
-                outer, q = losses[l] / alpha, losses[n + l] / alpha
-                second = alpha / (d**2 - q * outer)
-                values[l] = 1 / alpha, outer / alpha, second, q * second
-            elif rho.real > 0:
-                values[l, :_SECOND] = 1 / rho, d / rho
-            else:  # rho/(s + d) - rho/d
-                values[l, _LOSS : _INNER_LOSS] = -d / rho, -rho / d**2
-        if not self.absent[-1]:
-            values[n, _LOSS] = 1 / losses[-1]
-        return values.ravel()
+        """Values of all sections in a row."""
+        size, _, real, _ = theta[:-1].reshape(4, -1)
+        losses = self.losses(theta)
+        losses = losses if self.absent is None else np.where(self.absent, 0.0, losses)
+        rows = [[0.0, 1 / losses[-1] if losses[-1] else 0.0, 0.0, 0.0]]
+        for place in self.lone:
+            a, rho = size[place], real[place]
+            if rho:  # rho/(s + a), or rho/(s + a) - rho/a
+                rows.append([1 / rho, a / rho, 0.0, 0.0] if rho.real > 0 else [0.0, -a / rho, -rho / a**2, 0.0])
+        alpha, _, _, square = self.modes(theta)
+        outer, inner = losses[:-1].reshape(2, -1) / alpha
+        second = alpha / (square - outer * inner)
+        rows += np.array([1 / alpha, outer / alpha, second, inner * second]).T.tolist()
+        return np.array(rows, complex).ravel()
 
 
 def _derivatives(function: Callable[[Values], Values], theta: Array) -> Array:
@@ -153,9 +182,9 @@ def _deviations(J: Array, covariance: Array) -> Array:
 
 
 def _refuse_unstable(fit: Any, kind: Immittance) -> None:
-    """Refuse poles that have no section of positive elements, whatever the other numbers are."""
+    """Refuse poles without a section of positive elements, whatever the other numbers are."""
     poles, rho = fit.poles, fit.residues[:, 0, 0].real
-    bad = (poles.real > 0) | ((poles.imag != 0) & (rho < 0)) | ((poles == 0) & (rho < 0))
+    bad = (poles.real > 0) | ((poles.imag != 0) & (rho <= 0)) | ((poles == 0) & (rho < 0))
     for place in np.flatnonzero(bad)[:1].tolist():
         raise _not_in_foster_form(kind, float(abs(poles[place])))
 
@@ -224,7 +253,7 @@ class _Wiring:
         """Nodes of a section of an admittance: its elements one after the other."""
         along = [place for place in places if place != _INNER_LOSS]
         ends = ["1", *(self._node() for _ in along[1:]), "0"]
-        nodes = dict(zip(along, zip(ends, ends[1:], strict=False), strict=True))
+        nodes = dict(zip(along, pairwise(ends), strict=True))
         if _INNER_LOSS in places:
             nodes[_INNER_LOSS] = nodes[_SECOND]
         return nodes
