@@ -190,9 +190,8 @@ def battery(folder: Path) -> None:
     for lines in (np.flatnonzero(Z.imag < 0), np.arange(len(Z))):
         f, z = hertz[lines], Z[lines]
         print(f"battery, {len(f)} lines to {f[-1]:.4g} Hz, scatter {scatter(f, z):.2f} %")
-        print(
-            f"  best of RC elements {best_of_real_poles(f, z, False):.2f} %, RC and RL {best_of_real_poles(f, z, True):.2f} %"
-        )
+        best = [best_of_real_poles(f, z, inductive) for inductive in (False, True)]
+        print(f"  best of RC elements {best[0]:.2f} %, of RC and RL elements {best[1]:.2f} %")
         for options in ({}, {"structure": "passive", "real_poles": 9}, {"structure": "passive", "real_poles": 10}):
             begin = time.perf_counter()
             fit = phc.pem(spectrum(z, f), **options)

@@ -1,7 +1,7 @@
 """Elements of a fitted impedance or admittance are those of the circuit it was measured on, within their errors.
 
-The references are fits of the same circuit by its elements (`pem(model=read_netlist(..))`), draws from the covariance of
-a fit, and the circuits themselves.
+The references are fits of the same circuit by its elements (`pem(model=read_netlist(..))`), draws from the covariance
+of a fit, and the circuits themselves.
 """
 
 import control as ct
@@ -194,3 +194,10 @@ def test_a_battery_is_a_passive_model_of_real_poles(data_folder):
     # with the inductance of leads only the admittance has a state space
     admittance = phc.read_netlist(circuit.spice().replace("I1 0 1", "V1 1 0"))
     assert np.allclose(1 / np.squeeze(admittance(2j * np.pi * hertz[lines])), fit.predicted, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_more_real_poles_than_a_battery_shows_give_no_warning(data_folder):
+    hertz, real, imaginary = np.loadtxt(data_folder / "impedance" / "exampleData.csv", delimiter=",").T
+    fit = phc.pem(measured(real + 1j * imaginary, hertz, noise=0.0), structure="passive", real_poles=14)
+    assert np.all(fit.real_poles <= 0)
