@@ -178,10 +178,11 @@ def test_circuits(folder: Path) -> None:
             parts = phc.netlist(fit, kind="impedance").elements
             shown = ", ".join(f"{part.name} = {part.value:.5g} +- {part.stderr:.2g}" for part in parts)
             print(f"  {call}: {shown}; rms {remaining(fit.predicted, Z):.2f} %; {fit.verdict}")
-        peer = other("R0-p(R1,C1)", guess, hertz, Z, weight_by_modulus=True)
-        if peer is not None:
-            shown = ", ".join(f"{v:.5g} +- {e:.2g}" for v, e in zip(peer.parameters_, peer.conf_, strict=True))
-            print(f"  impedance.py R0, R1, C1: {shown}; rms {remaining(peer.predict(hertz), Z):.2f} %")
+        for circuit, start in (("R0-p(R1,C1)", guess), ("L0-R0-p(R1,C1)", (1e-5, *guess))):
+            peer = other(circuit, start, hertz, Z, weight_by_modulus=True)
+            if peer is not None:
+                shown = ", ".join(f"{v:.5g} +- {e:.2g}" for v, e in zip(peer.parameters_, peer.conf_, strict=True))
+                print(f"  impedance.py {circuit}: {shown}; rms {remaining(peer.predict(hertz), Z):.2f} %")
 
 
 def battery(folder: Path) -> None:
