@@ -22,11 +22,14 @@ class Element:
         Nodes; of `K` the inductors, of `E` and `G` also the controlling nodes, of `F` also the controlling source.
     value : float
         Ohm, henry, farad; coupling coefficient, gain; of a source 0.
+    stderr : float or None
+        Standard error of the value, of a circuit of a fit; NaN where the data do not tell it.
     """
 
     name: str
     nodes: tuple[str, ...]
     value: float
+    stderr: float | None = None
 
     @property
     def letter(self) -> str:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from .. import _checks
 from .._options import CIRCUIT_FORMS, IMMITTANCES, CircuitForm, Immittance
 from .._types import Array
 from ..exceptions import StructureError
-from ..systems.base import Convertible
 from .controlled import controlled_sources
 from .elements import Element, Netlist
 from .expansions import continued_fraction, continued_fraction_at_zero, reciprocal
+from .fitted import fitted_elements, is_fit, is_fitted_one_port
 from .resonators import Resonator, Resonators, resonators_of
 
 # the partial fractions of the transfer function itself
@@ -22,13 +24,14 @@ _DIRECT: dict[Immittance, CircuitForm] = {
 _TITLES = {"foster1": "Foster I", "foster2": "Foster II", "cauer1": "Cauer I", "cauer2": "Cauer II"}
 
 
-def netlist(sys: Convertible, form: CircuitForm | None = None, *, kind: Immittance = "admittance") -> Netlist:
+def netlist(sys: Any, form: CircuitForm | None = None, *, kind: Immittance = "admittance") -> Netlist:
     """Circuit with the transfer function of a system: positive elements, or controlled sources.
 
     Parameters
     ----------
-    sys : PortHamiltonian, ModalForm or any linear system of continuous time
-        Lossless, or with classical damping; with the form 'state-space' any passive one.
+    sys : PortHamiltonian, ModalForm, any linear system of continuous time, or PEMResult
+        Lossless, or with classical damping; with the form 'state-space' any passive one.  Elements of a fit of one port
+        have standard errors.
     form : {'foster1', 'foster2', 'cauer1', 'cauer2', 'state-space'}, optional
         'foster1': tanks (inductor and capacitor side by side) in series, from the partial fractions of the impedance.
         'foster2': branches (inductor and capacitor in series) side by side, from those of the admittance.
@@ -45,13 +48,13 @@ def netlist(sys: Convertible, form: CircuitForm | None = None, *, kind: Immittan
     -------
     Netlist
         With as few inductors and capacitors as the system has states; modes that no port reaches are left out, but
-        in the form 'state-space'.
+        in the form 'state-space'.  Of a fit, in the default form, with `stderr` of each element.
 
     Raises
     ------
     StructureError
         If there is no circuit of this form: several ports or losses in another form than the default one, a system that
-        no port reaches, residues that ask for gyrators.
+        no port reaches, residues that ask for gyrators, elements of a fit that would be negative.
     NotPassiveError, NotLosslessError
         If the system is not passive, or its damping is not classical.
 
@@ -70,6 +73,11 @@ def netlist(sys: Convertible, form: CircuitForm | None = None, *, kind: Immittan
     modes, by Lanczos vectors in decimal arithmetic; these, and those made of zeros, are right to the last place for
     the `d` and `r` of `ph(sys).modes`.  O(n^2) operations, O(n^3) for the forms made of zeros.
 
+    Of a fit of one port in the default form errors follow from its covariance, to first order.  A real pole of an
+    impedance is C and R, or L and R, side by side; a mode is C, R and L, where need be with a resistor in series with
+    L.  A resistor that is 0 within three standard errors is left out, and all other values and errors are those given
+    that it is.  What the fit has in its `background` in proportion to `s` and `1/s` is an element as well.
+
     The form 'state-space' is `x' = A x + B u`, `y = C x + D u` in modal coordinates: the states are the voltages of the
     nodes `x1`, `x2` .., on capacitors of one size, which currents `G` charge.  Of an admittance the currents `y` are
     drawn from the ports; of an impedance the current at a port is the voltage of the node `u`, and its voltage that of
@@ -84,9 +92,25 @@ def netlist(sys: Convertible, form: CircuitForm | None = None, *, kind: Immittan
     >>> ladder = phc.netlist(sys, "cauer1")
     >>> [(element.name, round(element.value, 6), element.nodes) for element in ladder.elements]
     [('L1', 0.2, ('1', '2')), ('C1', 0.757576, ('2', '0')), ('L2', 1.111224, ('2', '3')), ('C2', 0.742424, ('3', '0'))]
+
+    A fit of 50 ohm in series with 1 kohm beside 1 uF:
+
+    >>> import control as ct, numpy as np
+    >>> s, rng = 2j * np.pi * np.geomspace(10, 1e4, 60), np.random.default_rng(0)
+    >>> Z = 50 + 1000 / (1 + 1e-3 * s) + rng.standard_normal(60) + 1j * rng.standard_normal(60)
+    >>> fit = phc.pem(ct.frd(Z, s.imag))
+    >>> for element in phc.netlist(fit, kind="impedance").elements:
+    ...     print(f"{element.name} = {element.value:.4g} +- {element.stderr:.1g}")
+    R1 = 50.26 +- 0.2
+    C1 = 1.001e-06 +- 6e-10
+    R2 = 999.6 +- 0.3
     """
     kind = _checks.choice("kind", kind, IMMITTANCES)
     form = _DIRECT[kind] if form is None else _checks.choice("form", form, CIRCUIT_FORMS)
+    if form == _DIRECT[kind] and is_fitted_one_port(sys):
+        return Netlist(fitted_elements(sys, kind), _ports(kind, 1), form, kind, f"{_TITLES[form]} form of an {kind}")
+    if is_fit(sys):
+        sys = sys.system
     if form == "state-space":
         return controlled_sources(sys, kind)
     parts, one_port = resonators_of(sys)
@@ -109,10 +133,17 @@ def netlist(sys: Convertible, form: CircuitForm | None = None, *, kind: Immittan
     return draft.netlist(form, title)
 
 
+def _ports(kind: Immittance, count: int) -> tuple[Element, ...]:
+    """Sources at the ports: of voltage for an admittance, of current for an impedance."""
+    if kind == "impedance":
+        return tuple(Element(f"I{k}", ("0", str(k)), 0.0) for k in range(1, count + 1))
+    return tuple(Element(f"V{k}", (str(k), "0"), 0.0) for k in range(1, count + 1))
+
+
 class _Draft:
     """Elements as they are added; of an impedance the dual of what an admittance has."""
 
-    def __init__(self, kind: str, ports: int) -> None:
+    def __init__(self, kind: Immittance, ports: int) -> None:
         self._dual, self._kind = kind == "impedance", kind
         self._elements: list[Element] = []
         self._counts: dict[str, int] = {}
@@ -121,10 +152,7 @@ class _Draft:
         self._ends = [str(k + 1) for k in range(ports)]
 
     def netlist(self, form: str, title: str) -> Netlist:
-        letter = "I" if self._dual else "V"
-        names = [(f"{letter}{k + 1}", str(k + 1)) for k in range(len(self._ends))]
-        ports = tuple(Element(name, ("0", node) if self._dual else (node, "0"), 0.0) for name, node in names)
-        return Netlist(tuple(self._elements), ports, form, self._kind, title)
+        return Netlist(tuple(self._elements), _ports(self._kind, len(self._ends)), form, self._kind, title)
 
     def _node(self) -> str:
         self._nodes += 1

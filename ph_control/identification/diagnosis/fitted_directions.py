@@ -113,7 +113,7 @@ def _tangent(result: Any) -> Array:
     d, zeta = np.abs(p), -p.real / np.where(p == 0, 1.0, np.abs(p))
     known = ~np.isnan(np.diag(result.covariance))
     covariance = np.where(known[:, None] & known, result.covariance, 0.0)
-    sizes = np.sqrt(np.diag(covariance))
+    sizes = np.sqrt(np.maximum(np.diag(covariance), 0.0))  # rounding may leave less than nothing
     scale = np.where(sizes > 0, sizes, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     basis = scale[:, None] * vectors[:, values > len(values) * _checks.EPS * values.max(initial=0.0)]
