@@ -160,6 +160,17 @@ def test_no_delay_is_found_where_there_is_none():
     assert sum(late) == 0
 
 
+def test_residues_that_noise_alone_turns_show_no_delay():
+    # classical damping is rejected by chance, and delays explain a little of that
+    result = fitted(*skewed(134, (0.0, 0.0), noise=0.1, samples=300)[:2], order=3, noise="white")
+    assert not result.delay.any() and result.tests[1].p < 0.05
+
+
+def test_a_delay_that_loud_noise_nearly_hides_is_found():
+    result = fitted(*skewed(2, (0.4, 0.4), noise=0.5, samples=500)[:2], order=3, noise="white")
+    assert result.structure == "classical" and abs(result.delay[0] - 0.4 * DT) < 3 * result.stderr["delay"][0]
+
+
 @pytest.mark.slow
 def test_the_error_of_a_delay_is_what_it_errs_by():
     delays = 0.05 * np.random.default_rng(0).integers(1, 40, 6)
