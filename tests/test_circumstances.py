@@ -44,6 +44,14 @@ def test_a_constant_of_the_sensor_is_estimated_and_named(samples, order):
     np.testing.assert_allclose(causes(result)["CONSTANT"].values, result.offsets)
 
 
+def test_a_drift_of_a_third_of_the_motion_is_named_in_a_short_record():
+    u, z = (rng := np.random.default_rng(3)).standard_normal(200), np.exp(-0.02 + 1.2j)
+    y = np.real(lfilter([0, (z - 1) / (-0.02 + 1.2j)], [1, -z], u + 0j))
+    noise = 0.3 * rng.standard_normal(200)
+    result = phc.pem((u, y + np.std(y) * (noise + 0.3 * np.arange(200) / 200)), dt=1.0, quantity="velocity", delay=0)
+    assert (result.order, len(result.real_poles)) == (1, 0) and causes(result).keys() == {"DRIFT", "LOSSES"}
+
+
 @pytest.mark.slow
 def test_a_drift_of_the_sensor_is_estimated_and_named():
     samples = 600
@@ -271,3 +279,13 @@ def test_a_disturbance_that_grows_is_no_mode_of_the_plant(capfd):
     result = phc.pem((u, y + 0.05 * np.std(y) * rng.standard_normal(300)), dt=0.2, intersample="zoh", quantity="free")
     np.testing.assert_allclose(result.poles, [-0.02 + 1j], atol=0.01)
     assert capfd.readouterr() == ("", ""), "libraries have nothing to say"
+
+
+def test_a_weak_mode_without_losses_is_not_taken_to_grow_for_the_error_of_its_decay():
+    u = (rng := np.random.default_rng(4)).standard_normal(600)
+    y = 0.0
+    for d, size in ((0.5, 1.0), (1.3, 0.05)):
+        z = np.exp(1j * d)
+        y = y + 2 * size / d * lfilter([0, z - 1], [1, -z], u + 0j).imag
+    result = phc.pem((u, y + 0.05 * np.std(y) * rng.standard_normal(600)), dt=1.0)
+    assert (result.order, result.structure, result.outcome.name) == (2, "lossless", "CONSISTENT")

@@ -160,6 +160,37 @@ def test_no_delay_is_found_where_there_is_none():
     assert sum(late) == 0
 
 
+@pytest.mark.parametrize("seed, samples", [(134, 300), (219, 200)])
+def test_residues_that_noise_alone_turns_show_no_delay(seed, samples):
+    # classical damping is rejected by chance, and delays explain a little of that, or most with large errors
+    result = fitted(*skewed(seed, (0.0, 0.0), noise=0.1, samples=samples)[:2], order=3, noise="white")
+    assert not result.delay.any() and result.tests[1].p < 0.05
+
+
+def test_a_delay_that_loud_noise_nearly_hides_is_found():
+    result = fitted(*skewed(2, (0.4, 0.4), noise=0.5, samples=500)[:2], order=3, noise="white")
+    assert result.structure == "classical" and abs(result.delay[0] - 0.4 * DT) < 3 * result.stderr["delay"][0]
+
+
+def test_a_smooth_input_that_comes_late_is_linear_between_its_samples():
+    # free residues absorb a little of what goes on between samples, which a held input explains without a delay
+    rng, y = np.random.default_rng(2), 0.0
+    u = lfilter([0.1], [1.0, -0.9], rng.standard_normal(501))
+    fine = np.interp(np.arange(500 * FINE) / FINE, np.arange(501), u)
+    for p in np.array([-0.02 + 0.4j, -0.03 + 0.9j]) / FINE:
+        z = np.exp(p)
+        y = y + (p / (1j * p.imag) * lfilter([0, (z - 1) / p / FINE], [1, -z], fine + 0j)).real
+    y = np.append(np.zeros(26), y)[: len(fine)][::FINE]
+    y = y + 0.05 * np.std(y) * rng.standard_normal(500)
+    result = phc.pem((u[:500], y), 2, dt=1.0, quantity="velocity", noise="white")
+    assert result.intersample == "foh" and abs(result.delay[0] - 1.3) < 0.05
+
+
+def test_a_delay_of_a_twentieth_of_a_sample_is_found():
+    result = fitted(*skewed(3, (0.05, 0.05), noise=0.1, samples=400)[:2], order=3, noise="white")
+    assert result.structure == "classical" and abs(result.delay[0] - 0.05 * DT) < 3 * result.stderr["delay"][0]
+
+
 @pytest.mark.slow
 def test_the_error_of_a_delay_is_what_it_errs_by():
     delays = 0.05 * np.random.default_rng(0).integers(1, 40, 6)
@@ -196,6 +227,19 @@ def test_a_lag_tells_where_within_a_sample_its_dead_time_is(late_lag):
     assert 0 < error < 0.1 * DT and abs(late_lag.delay[0] - 2.6 * DT) < 3 * error
     assert abs(late_lag.time_constants[0] - 4 * DT) < 3 * late_lag.stderr["time_constants"][0]
     assert "(+- " in next(sentence for sentence in late_lag.message.split(". ") if "later than" in sentence)
+
+
+@pytest.mark.parametrize("seed, each", [(4, 12), (6, 1)])
+def test_the_part_of_a_sample_by_which_a_lag_is_late_is_no_second_lag(seed, each):
+    # a lag that is over within a sample explains as much, beside steps and beside an input that changes with each
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(300) if each == 1 else np.repeat(rng.choice([-1.0, 1.0], 300 // each), each)
+    z = np.exp(-1 / (10 * FINE))
+    fine = lfilter([0.0, 1 - z], [1.0, -z], np.repeat(u, FINE))
+    y = np.append(np.zeros(FINE // 2), fine)[: len(fine)][::FINE]
+    result = phc.pem((u, y + 0.02 * np.std(y) * rng.standard_normal(300)), dt=1.0, quantity="free")
+    assert (result.order, len(result.real_poles)) == (0, 1)
+    assert abs(result.delay[0] - 0.5) < 3 * result.stderr["delay"][0] < 0.2
 
 
 def test_a_step_is_drawn_with_the_dead_time_and_the_poles_are_named(late_lag):

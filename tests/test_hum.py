@@ -95,6 +95,24 @@ def test_modes_that_inputs_drive_are_no_hum():
     assert result.order == 3 and not hums(result)
 
 
+def short(seed, tone):
+    """Input and output of a mode in a short record, with noise of a tenth, and a tone beside it."""
+    u, z = (rng := np.random.default_rng(seed)).standard_normal(200), np.exp(-0.02 + 1.2j)
+    y = np.real(lfilter([0, (z - 1) / (-0.02 + 1.2j)], [1, -z], u + 0j))
+    return u, y + 0.1 * np.std(y) * (rng.standard_normal(200) + tone * np.cos(2.1 * np.arange(200)))
+
+
+def test_hum_is_named_that_hardly_stands_out_of_the_noise():
+    result = phc.pem(short(3, 0.7), dt=1.0, quantity="velocity", delay=0)
+    (hum,) = hums(result)
+    assert result.order == 1 and abs(hum.values[0] - 2.1) < np.pi / 200
+
+
+def test_a_second_mode_that_is_given_where_there_is_noise_alone_is_no_hum():
+    result = phc.pem(short(26, 0.0), 2, dt=1.0, quantity="velocity", delay=0)
+    assert result.order == 2 and not hums(result)
+
+
 def test_a_mode_of_noise_beyond_those_there_are_is_no_hum():
     plant, rng = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25])), np.random.default_rng(1)
     t, u = 0.1 * np.arange(1000), rng.standard_normal(1000)

@@ -192,6 +192,14 @@ def carts(samples=1000, h=0.1, push=1.0, seed=0):
     return u, y
 
 
+def test_a_lag_that_is_over_within_two_samples_is_one_lag():
+    u, z = np.repeat((rng := np.random.default_rng(0)).choice([-1.0, 1.0], 100), 3), np.exp(-1 / 0.7)
+    y = lfilter([0.0, 1 - z], [1.0, -z], u)
+    result = phc.pem((u, y + 0.02 * np.std(y) * rng.standard_normal(300)), dt=1.0, quantity="free")
+    assert (result.order, len(result.real_poles), result.delay[0]) == (0, 1, 0.0)
+    assert abs(result.time_constants[0] - 0.7) < 3 * result.stderr["time_constants"][0] < 0.1
+
+
 @pytest.mark.variants
 @pytest.mark.parametrize("structure, seed", [("lossless", 1), ("auto", 2), ("auto", 4)])
 def test_a_cart_that_rolls_beside_a_mode_is_lossless(structure, seed):

@@ -37,7 +37,6 @@ _COMPARED = 16
 _RATES = 30  # of real poles that are compared, from one
 _APART = 0.02  # of the square of what a real pole adds: with less beside what others can do it is none of its own
 _SLOWEST = 0.03  # bins: a fifth of the reciprocal of the length
-_FASTEST = 0.5  # of the ceiling
 _PLACES = 8  # of a mode between two of few points, and half-widths in bins there
 _DECAYS = (0.01, 0.1, 0.5, 1.5)
 _ALL_AT_ONCE = 1 << 14  # real equations up to which poles are those of a common denominator
@@ -137,7 +136,7 @@ class FreeSearch:
         The real poles there are may be `yielding`, to first order: relaxations that lie side by side explain much
         together that none of them does beside the others as they are.
         """
-        rates = np.geomspace(_SLOWEST * self.region.bin, _FASTEST * self.region.ceiling, _RATES)
+        rates = np.geomspace(_SLOWEST * self.region.bin, self.region.ceiling, _RATES)
         spread = self.spread(projection.experiments)
         gains = np.sum(
             [explained_by_lags(rows, projection, k, rates, yielding) for k, rows in enumerate(spread)], axis=0
