@@ -10,7 +10,7 @@ from ... import _checks
 from ..diagnosis.coloured_noise import fitted_noise
 from ..estimates.estimates import Estimates
 from ..judge.evidence import Evidence
-from ..judge.message import message_of
+from ..judge.verdict_message import message_of
 from ..parameters.fitted_parameters import FittedParameters
 from ..search.findings import Finding
 from ..structure.choice import Choice, Request
