@@ -1,9 +1,9 @@
 """Write a circuit with the transfer function of a model, as SPICE text.
 
 Inductors, capacitors and resistors for a model that is lossless or has classical damping; controlled sources for any
-passive one with --form state-space. The transfer function is the admittance (voltage in, current out) unless --kind
-impedance. All commands also accept netlists (.cir, .net, .sp) as models. Exit status 1 if the model has no
-port-Hamiltonian form.
+passive one with --form state-space. Elements of a fit of one port have standard errors in the answer of --json. The
+transfer function is the admittance (voltage in, current out) unless --kind impedance. All commands also accept netlists
+(.cir, .net, .sp) as models. Exit status 1 if the model has no port-Hamiltonian form.
 
 Examples
 --------
@@ -47,8 +47,12 @@ def run(options: Namespace) -> int:
     """Read, synthesize, write."""
     sources, target = source_and_target(options, "the netlist")
     (model,) = read_models(sources, options)
-    circuit = phc.netlist(model.port_hamiltonian(), options.form, kind=options.kind)
+    system = model.content if model.is_result else model.port_hamiltonian()
+    circuit = phc.netlist(system, options.form, kind=options.kind)
     deliver(circuit.spice(), target, options.overwrite)
-    elements = [{"name": element.name, "nodes": element.nodes, "value": element.value} for element in circuit.elements]
+    elements = [
+        {"name": element.name, "nodes": element.nodes, "value": element.value, "stderr": element.stderr}
+        for element in circuit.elements
+    ]
     answer = {"command": "netlist", "source": model.source, "form": circuit.form, "kind": circuit.kind}
     return conclude(options, {**answer, "elements": elements}, [target])

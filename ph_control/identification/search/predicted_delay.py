@@ -19,7 +19,7 @@ _SPARED = 0.5  # of the states that a delay spares, which have to show in the cr
 
 
 @dataclass(frozen=True)
-class _Delayed:
+class _AfterDelay:
     """The best predictor after a delay: its BIC, twice the negative log-likelihood of all of the past.
 
     What a state costs; the shortest past; whether inputs foretell anything, and are fed through.
@@ -34,7 +34,7 @@ class _Delayed:
     fed: bool
 
     @classmethod
-    def by(cls, samples: int, records: Sequence[FreeRecord], outputs: int, most: int) -> _Delayed | None:
+    def by(cls, samples: int, records: Sequence[FreeRecord], outputs: int, most: int) -> _AfterDelay | None:
         """Delay by some samples, of those that are left by the most; None where records are too short."""
         late = [rows.delayed(samples * rows.hold.h, 0.0, most * rows.hold.h) for rows in records]
         signals = signals_of(late, outputs)
@@ -74,8 +74,8 @@ def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> 
     """
     most = min(min((rows.length for rows in records), default=0) // _SHARE, _LONGEST)
 
-    def after(delay: int) -> _Delayed | None:
-        return _Delayed.by(delay, records, outputs, most)
+    def after(delay: int) -> _AfterDelay | None:
+        return _AfterDelay.by(delay, records, outputs, most)
 
     none = first = after(0)
     begin = 0
