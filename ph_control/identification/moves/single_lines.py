@@ -24,6 +24,8 @@ Place = tuple[int, int]  # an experiment and a line of it
 
 _ABOUT = 4  # lines on either side, whose median a wild line is so many times as large as
 _WILD = 20.0
+_HARDLY_MORE = 4.0  # times the squares that a fit without some lines leaves
+_EXPLAINED = 0.5  # of a value at a line: what modes that explain it may leave
 _FEW_WILD = 3  # lines, or a few in a thousand: more are no accident
 
 
@@ -56,7 +58,8 @@ def _with_or_without(
     calm = among(_without_lines(channels, wild), start)
     if not calm.interrupted:
         whole = among(channels, calm.projection.p)
-        if not _is_likelier_without(whole, calm, wild):
+        explained = whole.order <= calm.order and _explains(whole, calm, wild)
+        if explained or not _is_likelier_without(whole, calm, wild):
             return whole
     return _leaving_out(calm, wild)
 
@@ -86,6 +89,31 @@ def _without_lines(channels: Experiments, lines: Sequence[Indices]) -> list[Resp
         response[..., places] = np.nan
         responses.append(replace(channel, response=response))
     return responses
+
+
+def _explains(whole: FreeFit, calm: FreeFit, lines: Sequence[Indices]) -> bool:
+    """Return whether a fit to all lines explains the values at some, and all others hardly worse than one without.
+
+    Values of few digits next to a resonance may be off by more than the noise of all others, and still belong to it.
+    There is no resonance at a frequency of 0.
+    """
+    if any(np.any(data.omega[far] == 0) for data, far in zip(whole.channels, lines, strict=True)):
+        return False
+    for rows, predicted in zip(whole.projection.experiments, whole.projection.predictions(), strict=True):
+        if isinstance(rows, FreeResponse):
+            far = lines[rows.experiment]
+            if np.any(np.abs(rows.response - predicted)[:, far] > _EXPLAINED * np.abs(rows.response[:, far])):
+                return False
+    losses = []
+    for fit in (whole, calm):
+        losses.append(0.0)
+        for rows, predicted in zip(fit.projection.experiments, fit.projection.predictions(), strict=True):
+            if isinstance(rows, FreeResponse):
+                others = calm.channels[rows.experiment]
+                weights = np.where(others.observed, others.weights, 0.0).reshape(-1, others.samples)[rows.outputs]
+                size = np.abs(rows.response - predicted) * fit.scales[rows.outputs, None]
+                losses[-1] += float(np.nansum(weights * size**2))
+    return losses[0] <= _HARDLY_MORE * losses[1]
 
 
 def _without_errors(whole: FreeFit, channels: Sequence[ResponseMatrix], among: Callable[..., FreeFit]) -> FreeFit:
