@@ -79,8 +79,9 @@ def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> 
 
     none = first = after(0)
     begin = 0
-    # of a delay that is longer than the past inputs show nothing
-    while first is not None and not first.shown and begin + first.past // 2 <= most:
+    # of a delay that is longer than the past inputs show nothing; nor of inputs that are over by then
+    lasting = all(np.all(2 * rows.u[:, most:].var(axis=1) > rows.u.var(axis=1)) for rows in records)
+    while first is not None and not first.shown and lasting and begin + first.past // 2 <= most:
         begin += first.past // 2
         first = after(begin)
     if none is None or first is None or not first.shown:
