@@ -29,6 +29,7 @@ from benchmarks import (
     methods,
     modal_peers,
     montecarlo,
+    mutations,
     page,
     passive_peers,
     peers,
@@ -683,3 +684,10 @@ def test_a_golden_fit_is_recorded_with_its_errors(tmp_path):
         assert fit["order"] == fit["true_order"] and (fit["kind"] == "pure_noise" or fit["stderr_frequencies"])
     assert all(abs(one) < 1e-4 for fit in fits for one in fit["errors"]["frequencies"])
     assert golden.main(["compare", str(path), str(path)]) == 0
+
+
+def test_each_deliberate_fault_is_in_the_package_once():
+    for fault in mutations.FAULTS:
+        text = (ROOT / "ph_control" / fault.file).read_text(encoding="utf-8")
+        assert text.count(fault.right) == 1, f"{fault.file}: {fault.right}"
+        assert all((ROOT / "tests" / f"test_{name}.py").is_file() for name in fault.tests)
