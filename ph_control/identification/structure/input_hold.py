@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from ..._options import STRUCTURES
 from ..diagnosis.verdict import HypothesisTest
 from ..regression.tuning import TUNING
@@ -36,11 +38,22 @@ def _under_likelier_hold(first: Choice, request: Request) -> Choice:
     if request.structure == "auto":
         simpler = STRUCTURES[: STRUCTURES.index(first.fit.structure)]
         chosen, tests = tested(rival, request, simpler)
-        stands = chosen.structure in simpler
+        # noise of a poor fit lets every structure stand
+        stands = chosen.structure in simpler and _bic_of(chosen.structure, rival, tests) < _bic_of(
+            first.fit.structure, free, first.tests
+        )
         if not (stands or (first.fit.structure == "free" and _is_rather_held_as(rival, tests, free, first.tests))):
             return first
     second = Choice.of(rival, request)
     return second if request.structure == "auto" or second.gain(first) > TUNING.sure else first
+
+
+def _bic_of(structure: str, free: FreeFit, tests: tuple[HypothesisTest, ...]) -> float:
+    """Return the BIC of a structure from that of the free fit, and the test within it."""
+    charge = float(np.log(free.projection.rows))
+    return free.criteria.bic + sum(
+        test.likelihood_ratio - test.dof * charge for test in tests if test.hypothesis == structure
+    )
 
 
 def _is_rather_held_as(
