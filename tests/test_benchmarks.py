@@ -30,6 +30,7 @@ from benchmarks import (
     modal_peers,
     montecarlo,
     mutations,
+    noise,
     page,
     passive_peers,
     peers,
@@ -691,3 +692,11 @@ def test_each_deliberate_fault_is_in_the_package_once():
         text = (ROOT / "ph_control" / fault.file).read_text(encoding="utf-8")
         assert text.count(fault.right) == 1, f"{fault.file}: {fault.right}"
         assert all((ROOT / "tests" / f"test_{name}.py").is_file() for name in fault.tests)
+
+
+@pytest.mark.slow
+def test_a_poor_fit_under_the_other_hold_makes_no_plant_lossless():
+    # classical damping is rejected by chance; beside forces ten times as large the other hold had a poor fit
+    table = noise.run("a shaker with a tenth of the ambient forces", (3, 3, 1), 1, 6000, forces=10.0, first=165)
+    assert set(table.orders) == {(3, 0)} and "HOLD" not in table.findings
+    assert set(table.structures) <= {"classical", "free"}
