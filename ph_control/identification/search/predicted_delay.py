@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,33 +22,69 @@ _SPARED = 0.5  # of the states that a delay spares, which have to show in the cr
 class _AfterDelay:
     """The best predictor after a delay: its BIC, twice the negative log-likelihood of all of the past.
 
-    What a state costs; the shortest past; whether inputs foretell anything, and are fed through.
+    What a state costs that a delay spares, and what an input; the longest past; whether inputs foretell anything, and
+    are fed through.
     """
 
     cost: float
     loss: float
-    spared: float
-    charge: float
+    state: float
+    input: float
     past: int
     shown: bool
     fed: bool
 
-    @classmethod
-    def by(cls, samples: int, records: Sequence[FreeRecord], outputs: int, most: int) -> _AfterDelay | None:
-        """Delay by some samples, of those that are left by the most; None where records are too short."""
-        late = [rows.delayed(samples * rows.hold.h, 0.0, most * rows.hold.h) for rows in records]
-        signals = signals_of(late, outputs)
-        predictors = predictors_of(signals, outputs, _ROWS) if signals else []
+
+@dataclass(frozen=True)
+class _Delays:
+    """Records of so many outputs after delays, of the samples that the most of these leaves."""
+
+    records: Sequence[FreeRecord]
+    outputs: int
+    most: int
+    known: dict[int, _AfterDelay | None] = field(default_factory=dict)
+
+    def after(self, samples: int) -> _AfterDelay | None:
+        """Delay by some samples; None where records are too short."""
+        if samples not in self.known:
+            self.known[samples] = self._after(samples)
+        return self.known[samples]
+
+    def _after(self, samples: int) -> _AfterDelay | None:
+        late = [rows.delayed(samples * rows.hold.h, 0.0, self.most * rows.hold.h) for rows in self.records]
+        signals = signals_of(late, self.outputs)
+        predictors = predictors_of(signals, self.outputs, _ROWS) if signals else []
         if not predictors:
             return None
         count = sum(each.shape[1] for each in signals or ())
-        longest, price = predictors[0], float(np.log(count * outputs))
+        longest, price = predictors[0], float(np.log(count * self.outputs))
         cost, states, best = likeliest(predictors, count, longest.largest)[0]
-        return cls(
-            cost, count * float(longest.errors[-1]), best.inputs * (best.signals + outputs) * price,
-            best.inputs * outputs * price, longest.horizon, longest.shows_inputs(count),
+        return _AfterDelay(
+            cost, count * float(longest.errors[-1]), best.inputs * (best.signals + self.outputs) * price,
+            best.inputs * self.outputs * price, longest.horizon, longest.shows_inputs(count),
             best.feeds_through(states, count),
         )  # fmt: skip
+
+    def where_inputs_show(self, none: _AfterDelay) -> int | None:
+        """Return the least delay of some, half a past apart, after which inputs foretell anything.
+
+        Those that are over before the samples that are left foretell nothing.
+        """
+        lasting = all(np.all(2 * rows.u[:, self.most :].var(axis=1) > rows.u.var(axis=1)) for rows in self.records)
+        delays = range(0, self.most + 1 if lasting else 1, max(1, none.past // 2))
+        return next((delay for delay in delays if (after := self.after(delay)) and after.shown), None)
+
+    def descent(self, begin: int) -> list[_AfterDelay]:
+        """Predictors after a delay and those that follow, until they foretell less, or spare no states."""
+        tried = list[_AfterDelay]()
+        while begin + len(tried) <= self.most and (after := self.after(begin + len(tried))) is not None:
+            tried.append(after)
+            first, least = tried[0], min(each.cost for each in tried)
+            patience = _WORSE[bool(begin) or first.cost > least]
+            worse = min(each.cost for each in tried[-patience:]) > least
+            if worse or (len(tried) > _FEW and first.cost - least < _SPARED * (len(tried) - 1) * first.state):
+                break
+        return tried
 
 
 def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> tuple[int, float]:
@@ -72,35 +108,19 @@ def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> 
         Samples, up to a tenth of the shortest record and 1000, and the log-likelihood that they gain; 0 where records
         are too short, or show no delay.
     """
-    most = min(min((rows.length for rows in records), default=0) // _SHARE, _LONGEST)
-
-    def after(delay: int) -> _AfterDelay | None:
-        return _AfterDelay.by(delay, records, outputs, most)
-
-    none = first = after(0)
-    begin = 0
-    # of a delay that is longer than the past inputs show nothing; nor of inputs that are over by then
-    lasting = all(np.all(2 * rows.u[:, most:].var(axis=1) > rows.u.var(axis=1)) for rows in records)
-    while first is not None and not first.shown and lasting and begin + first.past // 2 <= most:
-        begin += first.past // 2
-        first = after(begin)
-    if none is None or first is None or not first.shown:
+    delays = _Delays(records, outputs, min(min((rows.length for rows in records), default=0) // _SHARE, _LONGEST))
+    none = delays.after(0)
+    begin = None if none is None else delays.where_inputs_show(none)
+    if none is None or begin is None:
         return 0, 0.0
-    tried = [first]
-    for delay in range(begin + 1, most + 1):
-        tried.append(after(delay) or none)
-        least = min(each.cost for each in tried)
-        patience = _WORSE[bool(begin) or first.cost > least]
-        spared = _SPARED * (delay - begin) * first.spared
-        if min(each.cost for each in tried[-patience:]) > least or (len(tried) > _FEW and first.cost - least < spared):
-            break
+    tried = delays.descent(begin)
     likely = min(range(len(tried)), key=lambda place: tried[place].cost)
     gain = none.cost - tried[likely].cost
-    if gain <= _SPARED * likely * first.spared:
+    if gain <= _SPARED * likely * none.state:
         return 0, 0.0
     # states of a short past may hide the last samples
     last = likely
-    while last + 1 < len(tried) and tried[last + 1].loss < tried[last].loss + first.charge:
+    while last + 1 < len(tried) and tried[last + 1].loss < tried[last].loss + none.input:
         last += 1
     delay = begin + last - bool(tried[last].fed and not felt)
     return (delay, 0.5 * gain) if delay > 0 else (0, 0.0)
