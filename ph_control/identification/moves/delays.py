@@ -88,9 +88,16 @@ def of_predicted_delay(channels: Experiments, search: Search, late: Lateness, ga
     if not gain:
         return None
     fit = search.along(search.path(channels, late), channels)
-    if fit.interrupted or (_responds(fit) and not fit.rounding and not leaves_traces(fit.projection)):
-        return replace(fit, delay_gain=gain)
-    return None
+
+    def stands(fit: FreeFit) -> bool:
+        return fit.interrupted or (_responds(fit) and not fit.rounding and not leaves_traces(fit.projection))
+
+    if not stands(fit) and _responds(fit) and not fit.rounding:  # as of a delay that is a sample too short
+        try:
+            fit = on_time(fit, search.anew(fit))
+        except KeyboardInterrupt:
+            fit = replace(fit, interrupted=True)
+    return replace(fit, delay_gain=gain) if stands(fit) else None
 
 
 def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
