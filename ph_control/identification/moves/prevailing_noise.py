@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..._types import ComplexArray
+from ..data.channels import Recording
 from ..regression.free import FreeProjection, Lateness
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
@@ -53,11 +54,11 @@ def in_prevailing_noise(channels: Experiments, search: Search, late: Lateness) -
     given = search.assumptions
     if given.white or given.delay is not None:
         return None
+    if sum(channel.samples for channel in channels if isinstance(channel, Recording)) < _SAMPLES:
+        return None
     path, orders = search.path(channels, late), search.orders
     records = [record for record in path.plain.data if isinstance(record, FreeRecord)]
     outputs = len(path.counts)
-    if sum(rows.length for rows in records) < _SAMPLES:
-        return None
     foretold = likely_poles(records, outputs, orders)
     if foretold is None:
         return None

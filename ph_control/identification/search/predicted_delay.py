@@ -115,12 +115,11 @@ def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> 
         return 0, 0.0
     tried = delays.descent(begin)
     likely = min(range(len(tried)), key=lambda place: tried[place].cost)
-    gain = none.cost - tried[likely].cost
-    if gain <= _SPARED * likely * none.state:
+    spared, gain = likely - bool(tried[likely].fed and not felt), none.cost - tried[likely].cost
+    if begin + spared <= 0 or gain <= _SPARED * spared * none.state:
         return 0, 0.0
     # states of a short past may hide the last samples
     last = likely
     while last + 1 < len(tried) and tried[last + 1].loss < tried[last].loss + none.input:
         last += 1
-    delay = begin + last - bool(tried[last].fed and not felt)
-    return (delay, 0.5 * gain) if delay > 0 else (0, 0.0)
+    return begin + last - bool(tried[last].fed and not felt), 0.5 * gain
