@@ -88,16 +88,16 @@ def of_predicted_delay(channels: Experiments, search: Search, late: Lateness, ga
     if not gain:
         return None
     fit = search.along(search.path(channels, late), channels)
-
-    def stands(fit: FreeFit) -> bool:
-        return fit.interrupted or (_responds(fit) and not fit.rounding and not leaves_traces(fit.projection))
-
-    if not stands(fit) and _responds(fit) and not fit.rounding:  # as of a delay that is a sample too short
+    if fit.interrupted:
+        return fit
+    if not _responds(fit) or fit.rounding:
+        return None
+    if leaves_traces(fit.projection):  # as of a delay that is a sample too short
         try:
             fit = on_time(fit, search.anew(fit))
         except KeyboardInterrupt:
-            fit = replace(fit, interrupted=True)
-    return replace(fit, delay_gain=gain) if stands(fit) else None
+            return replace(fit, interrupted=True)
+    return None if fit.rounding or leaves_traces(fit.projection) else replace(fit, delay_gain=gain)
 
 
 def on_time(fit: FreeFit, anew: Anew) -> FreeFit:

@@ -143,11 +143,10 @@ def _in_white_noise_and_beside(
 
     Both begin with the path through modes, or with what predicts best, as is likelier.
     """
-    late = None
+    late, begun = None, None
     if start is None:
         several = search.assumptions.inputs_may_be_late(channels)
         late = of_late_inputs(channels, search) if several else of_late_lag(channels, search)
-    begun = None
     if start is None and late is None:
         shown, gain = predicted_lateness(channels, search)
         begun = in_prevailing_noise(channels, search, shown)
