@@ -457,6 +457,7 @@ def test_a_fit_is_drawn_with_its_intervals():
     np.testing.assert_allclose(horizontal[:, :, 0], intervals["d"])
     np.testing.assert_array_equal(vertical[:, 0, 0], result.d)
     assert legend_texts(plot.axes[0, 0]) == ["fit", "truth", "90 % intervals"]
+    assert bars.has_yerr and not bars.has_xerr  # in the legend
     assert plot.axes[0, 0].get_ylim()[1] > vertical[:, :, 1].max()
 
 

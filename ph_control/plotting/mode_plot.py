@@ -266,11 +266,12 @@ def _draw_stems(axis: Axes, k: int, table: ModeTable, port: int, unit: float, bo
     if table.level is not None:
         reach = np.abs(table.size_range - table.size[:, :1]).T
         spread = np.abs(table.d_range / unit - d[:, None]).T
-        yerr, xerr = (np.where(np.isfinite(bars), bars, 0.0) for bars in (reach, spread))
-        axis.errorbar(
+        yerr, xerr = (np.where(np.isfinite(half), half, 0.0) for half in (reach, spread))
+        bars = axis.errorbar(
             d, height, yerr=yerr, xerr=xerr, fmt="none", ecolor=stem["color"], elinewidth=2.2 * stem["linewidth"],
             capsize=3.0, alpha=0.45, zorder=2.5, label=f"{100 * table.level:g} % intervals",
         )  # fmt: skip
+        bars.has_xerr = False  # for the legend, where two short bars that cross are a blot
     return heads
 
 
