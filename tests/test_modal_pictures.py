@@ -360,6 +360,15 @@ def test_a_single_mode_draws_a_circle_of_its_diameter_through_its_points():
     assert plot.axes[0, 0].get_title(loc="left") == "60 rad/time, 0.83 %"
 
 
+def test_the_labels_of_a_circle_of_a_small_response_do_not_overlap():
+    beam = phc.modes([-0.5 + 100j, -1 + 630j], [[0.1, 1.0], [0.5, 1.0]], [[0.01j], [-0.01j]])
+    plot = phc.circle_plot(beam)
+    plot.figure.canvas.draw()
+    for axis in plot.axes.flat:
+        ends = np.array([label.get_window_extent().intervalx for label in axis.get_xticklabels() if label.get_text()])
+        assert len(ends) > 2 and np.all(ends[:-1, 1] < ends[1:, 0])
+
+
 def test_each_mode_is_drawn_where_it_moves_most_or_where_it_is_asked_for():
     fit = result(3, 1)
     plot = phc.circle_plot(fit, measured(fit, count=2000))

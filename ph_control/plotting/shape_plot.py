@@ -689,5 +689,6 @@ def _draw_circle(axis: Axes, circle: ModeCircle, look: Look) -> list[Any]:
     lines += axis.plot([resonance.real], [resonance.imag], label="resonance", **cross)
     axis.set_aspect("equal", adjustable="datalim")
     axis.margins(0.08)
+    axis.locator_params(axis="x", nbins=3)  # small responses have long labels
     look.lattice(axis)
     return lines
