@@ -599,7 +599,7 @@ def test_the_stabilisation_diagram_shows_frequencies_by_order_and_criteria_besid
     assert np.sum(stable.get_ydata() == 3) == selection.stable[3].sum() == 2
     assert plot.axes[0, 0].get_xlabel() == "Natural frequency [rad/ms]"
     assert plot.axes[0, 0].get_ylabel() == "Order (number of modes)"
-    assert "BIC chooses 2" in legend_texts(plot.axes[0, 0])
+    assert legend_texts(plot.axes[0, 0]) == ["stable", "new", "modes of order 2", "BIC chooses 2"]
     curves = {line.get_label(): line for line in plot.lines[0, 1]}
     assert list(curves) == ["AIC", "AICc", "BIC", "hold-out"]
     np.testing.assert_allclose(curves["BIC"].get_xdata(), selection.bic - selection.bic.min())

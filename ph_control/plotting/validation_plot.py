@@ -289,8 +289,9 @@ def order_selection_plot(
         modes, above = drawn.axes[0]
         drawn.lines[0, 0] = _draw_orders(modes, orders, frequencies, stable)
         drawn.lines[0, 1] = _draw_criteria(above, orders, criteria)
-        for frequency in frequencies[list(orders).index(chosen)]:
-            modes.axvline(frequency, color="C3", linestyle=":", linewidth=0.8, zorder=0)
+        for k, frequency in enumerate(frequencies[list(orders).index(chosen)]):
+            label = "_" if k else f"modes of order {chosen}"
+            modes.axvline(frequency, label=label, color="C3", linestyle=":", linewidth=0.8, zorder=0)
         modes.set(xlabel=labelled("Natural frequency", unit_name), ylabel="Order (number of modes)")
         above.set_xlabel("Criterion above its least value")
         choice = f"{criterion} chooses {chosen}" + ", the largest tried" * int(chosen == orders[-1])
