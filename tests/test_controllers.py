@@ -440,6 +440,8 @@ def test_a_mode_that_ceases_to_oscillate_is_drawn_without_a_gap():
     assert size[critical] == size[critical - 1] and plot.axes[0, 1].get_xscale() == "linear"
     wide = phc.damping_plot(phc.spring_chain([1.0, 1e-3], [2.0], ground=1.0), 1e-3, factors=factors)
     assert wide.axes[0, 1].get_xscale() == "log"
+    wide.figure.canvas.draw()
+    assert {"1", "10"} <= {label.get_text() for label in wide.axes[0, 1].get_xticklabels()}
     for picture in (plot, wide):
         plt.close(picture.figure)
 

@@ -17,7 +17,7 @@ from ..controllers.damping_injection import controller_of, damping_injection, pl
 from ..exceptions import StructureError
 from ..systems.port_hamiltonian import PortHamiltonian
 from .inputs import subjects_of, title_of
-from .style import AxesGiven, LineStyle, Look, frequency_axis, labelled, picture
+from .style import AxesGiven, LineStyle, Look, frequency_axis, labelled, picture, plain_log_labels
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -139,6 +139,7 @@ def _frequency_range(axis: Axes, sizes: Array) -> None:
     if high > _WIDE * low > 0:
         axis.set_xscale("log")
         axis.set_xlim(low / 1.25, 1.25 * high)
+        plain_log_labels(axis)
     else:
         axis.set_xlim(0, 1.05 * high or None)
 

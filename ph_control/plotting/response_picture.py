@@ -14,7 +14,19 @@ from .. import _checks
 from .._options import AXIS_SCALES
 from .._types import Array, ComplexArray, Indices, Mask
 from .._units import parted
-from .style import BAND, DOTS, ZERO, AxesGiven, Look, Picture, PlainLogFormatter, gain_label, labelled, picture, plain
+from .style import (
+    BAND,
+    DOTS,
+    ZERO,
+    AxesGiven,
+    Look,
+    Picture,
+    gain_label,
+    labelled,
+    picture,
+    plain,
+    plain_log_labels,
+)
 
 _SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
 _DOT = 1 / 1200  # of the width of a picture
@@ -36,7 +48,6 @@ _WINDOW = 9  # steps of the phase of a table whose mean direction tells a respon
 _BESIDE = 5
 _STEADY = 0.7  # least length of this mean
 _MANY = 50  # poles and zeros
-_PLAIN = 100.0  # ratio of the ends of the frequency axis below which its labels are plain numbers
 _CROWD_BELOW = 2.0  # place among what is drawn, above the grid
 _SLACK = 15.0  # degrees beyond a quarter of a turn for which the axis has no further quarter
 _STRAY = 0.01  # share of the measured phases that may leave the picture
@@ -528,9 +539,8 @@ def draw_frequency_axis(axis: Axes, frequency: FrequencyAxis, look: Look) -> Non
     """Scale, ends and grid of the abscissa."""
     axis.set_xscale("log" if frequency.logarithmic else "linear")
     axis.set_xlim(frequency.low / frequency.unit, frequency.high / frequency.unit)
-    if frequency.logarithmic and frequency.high < _PLAIN * frequency.low:
-        axis.xaxis.set_major_formatter(PlainLogFormatter())
-        axis.xaxis.set_minor_formatter(PlainLogFormatter(labelOnlyBase=False))
+    if frequency.logarithmic:
+        plain_log_labels(axis)
     look.lattice(axis, minor="x" if frequency.logarithmic else None)
 
 

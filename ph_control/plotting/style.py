@@ -38,6 +38,7 @@ DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "
 _DRAWN = 6000  # samples beyond which a line is drawn by the extremes of its bins: the same picture, drawn faster
 _PER_INCH = 12.5  # letters of a legend, with some room between its columns
 _OHM = re.compile(r"[munµμkM]?(ohm|Ω|\u2126)|V/A$", re.IGNORECASE)
+_PLAIN = 100.0  # ratio of the ends of a logarithmic abscissa below which its labels are plain numbers
 _MINOR = 0.35  # opacity of the grid lines between the main ones
 
 
@@ -309,6 +310,14 @@ class PlainLogFormatter(LogFormatter):
     def __call__(self, x: float, pos: int | None = None) -> str:
         """Label of a tick, if it is to have one."""
         return f"{x:g}" if super().__call__(x, pos) else ""
+
+
+def plain_log_labels(axis: Axes) -> None:
+    """Plain numbers at a logarithmic abscissa that spans less than two decades."""
+    low, high = axis.get_xlim()
+    if high < _PLAIN * low:
+        axis.xaxis.set_major_formatter(PlainLogFormatter())
+        axis.xaxis.set_minor_formatter(PlainLogFormatter(labelOnlyBase=False))
 
 
 # --- long lines ------------------------------------------------------------------------------------------------------
