@@ -49,12 +49,17 @@ def test_the_block_is_pale_and_other_curves_and_dots_are_above_it():
         assert len(fades) == 1
         assert block.zorder < fades[0].zorder < other.zorder
         start, end = fades[0].get_x(), fades[0].get_x() + fades[0].get_width()
-        assert 10.0 < start < 50.0 and 900.0 < end < 1100.0
+        assert 5.0 < start < 50.0 and 900.0 < end < 1100.0
 
 
 def test_a_hundred_modes_are_told_apart_without_a_median():
     plot = phc.bode_plot(phc.modes(np.geomspace(1.0, 100.0, 100), np.ones(100)))
     assert plot.legend is None and len(plot.axes[0, 0].lines) == 1
+
+
+def test_modes_of_which_each_has_a_dot_and_a_half_close_to_a_block():
+    plot = phc.bode_plot(phc.modes(np.geomspace(1.0, 1000.0, 200), np.ones(200)))
+    assert texts(plot)[1].endswith("median where resonances are closer than dots")
 
 
 def test_a_fit_without_a_name_is_called_a_fit_and_a_sampled_twin_by_its_step():

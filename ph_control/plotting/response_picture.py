@@ -30,7 +30,7 @@ from .style import (
 
 _SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
 _DOT = 1 / 1200  # of the width of a picture
-_CROWD = 72  # poles and zeros within so much of that width: a dot cannot tell one from the next
+_CROWD = 36  # poles and zeros within so much of that width: a dot cannot tell one from the next
 _CROWD_WIDTH = 0.06
 _BINS = 150  # of a picture, each eight dots wide
 _PER_BIN = 256  # levels of which a median is taken
