@@ -8,6 +8,7 @@ the time. From the outputs alone, `pem` finds the modes, with standard errors, a
 
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy.signal import welch
 
 import ph_control as phc
 
@@ -68,20 +69,18 @@ assert np.all(assurance > 0.97)
 # The spectrum of the top, and what the intervals say.
 
 figure, (spectrum, damping) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-LENGTH = 2000
-window = np.hanning(LENGTH)
-parts = np.lib.stride_tricks.sliding_window_view(y[-1], LENGTH)[:: LENGTH // 2] * window
-power = np.mean(np.abs(np.fft.rfft(parts)) ** 2, axis=0) * STEP / np.sum(window**2)
-hertz = np.fft.rfftfreq(LENGTH, STEP)
-spectrum.semilogy(hertz[1:], power[1:], color="0.5", lw=1)
+hertz, density = welch(y[-1], fs=1 / STEP, nperseg=2000)
+spectrum.semilogy(hertz[1:], density[1:], color="0.5", lw=1)
 for k, f in enumerate(omega / (2 * np.pi)):
-    spectrum.axvline(f, color="C0", ls=":", label="modes" if k == 0 else None)
-spectrum.axvline(hum.values[0] / (2 * np.pi), color="C3", ls="--", label="pump")
-spectrum.set(xlabel="frequency [Hz]", ylabel="density of the top's velocity", xlim=(0, 1 / (2 * STEP)))
-spectrum.legend()
+    spectrum.axvline(f, color="C0", ls=":", zorder=1, label="modes" if k == 0 else None)
+spectrum.axvline(hum.values[0] / (2 * np.pi), color="C3", ls="--", zorder=1, label="pump")
+spectrum.set(xlabel="Frequency [Hz]", ylabel="PSD of the top's velocity [(m/s)²/Hz]", xlim=(0, 1 / (2 * STEP)))
+spectrum.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
 damping.errorbar(omega / (2 * np.pi), 100 * result.damping_ratios, 196 * result.stderr["damping_ratios"], fmt="o",
                  label="fit, 95 %")  # fmt: skip
 damping.plot(omega / (2 * np.pi), 100 * lightly, "k_", ms=14, label="true")
-damping.set(xlabel="frequency [Hz]", ylabel="damping [%]", ylim=(0, None))
-damping.legend()
+damping.set(xlabel="Frequency [Hz]", ylabel="Damping ratio [%]", ylim=(0, None))
+damping.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
+for axis in (spectrum, damping):
+    axis.grid(alpha=0.4)
 figure.savefig("ambient_tower.png", dpi=120)
