@@ -79,15 +79,17 @@ seconds = STEP * np.arange(SAMPLES)[last]
 motion.plot(seconds, 1e3 * y[0, last], color="0.6", lw=3, label="recorded at the shaker")
 for name, colour in (("simulated", "C3"), ("one step ahead", "C0")):
     motion.plot(seconds, 1e3 * comparison[name][0, last], color=colour, lw=1, label=name)
-motion.set(xlabel="time [s]", ylabel="velocity [mm/s]")
-motion.legend(loc="upper left", ncols=3, fontsize="small")
-low, high = motion.get_ylim()
-motion.set_ylim(low, high + 0.2 * (high - low))
+motion.set(xlabel="Time [s]", ylabel="Velocity [mm/s]")
+motion.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, fontsize="small", frameon=False)
 hertz = omega / (2 * np.pi)
 ratios.plot(hertz, 100 * zeta, "k_", ms=16, label="true")
 for fit, name, colour, shift in ((result, "with the forces", "C0", -0.15), (white, "white noise", "C3", 0.15)):
     ratios.errorbar(hertz + shift, 100 * fit.damping_ratios, 196 * fit.stderr["damping_ratios"], fmt="o",
                     color=colour, ms=4, capsize=3, label=f"{name}, 95 %")  # fmt: skip
-ratios.set(xlabel="frequency [Hz]", ylabel="damping [%]", ylim=(0, None))
+# of the two fits side by side, neither stands at its own frequency
+ratios.set_xticks(hertz, [f"{f:.1f}" for f in hertz])
+ratios.set(xlabel="Mode at frequency [Hz]", ylabel="Damping ratio [%]", ylim=(0, None))
 ratios.legend(fontsize="small")
+for axis in (motion, ratios):
+    axis.grid(alpha=0.4)
 figure.savefig("shaker_in_wind.png", dpi=120)
