@@ -64,9 +64,11 @@ for axis, one, title in zip(axes, together.experiments, titles, strict=True):
     axis.grid(True, alpha=0.4)
 axes[0].legend(fontsize="small", loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
 axes[-1].set_xlabel("Time [s]")
+rows[0].align_ylabels(axes)
 
 axis = rows[1].subplots()
-omega = np.linspace(0.3, 5.0, 700)
+beside = plant.d[:, None] * [1 - 2e-4, 1 + 2e-4]  # the peaks are infinite, and all alike leave the picture
+omega = np.sort(np.append(np.linspace(0.3, 5.0, 700), beside))
 for result, colour, name in ((alone, "C1", "first record alone"), (together, "C0", "all three")):
     low, high = result.sample(400, rng=0).magnitude_band(omega)
     axis.fill_between(omega, low, high, color=colour, alpha=0.5, label=f"{name}, 95 % of the models")
