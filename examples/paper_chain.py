@@ -103,6 +103,7 @@ axes[-1].set_ylabel("Error [m/s]")
 axes[-1].set_xlabel("Time [s]")
 axes[-1].set_ylim(1e-17, 3.0)
 axes[-1].set_xlim(0, time[-1])
+figure.align_ylabels()
 figure.savefig("paper_chain.png", dpi=110)
 
 

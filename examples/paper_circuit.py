@@ -94,4 +94,5 @@ for axis in axes[-1]:
     axis.set_xlabel("Time [s]")
 figure.legend(*axes[0, 1].get_legend_handles_labels(), loc="outside upper right", ncols=4)
 axes[0, 0].set_xlim(0, time[-1])
+figure.align_ylabels()
 figure.savefig("paper_circuit.png", dpi=110)
