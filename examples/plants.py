@@ -170,7 +170,7 @@ def draw_crystal(axis):
     for values, style in ((admittance, dict(marker=".", linestyle="", color="0.6", markersize=4, label="measured")),
                           (crystal.predicted.ravel(), dict(color="C0", linewidth=1.3, label="model"))):  # fmt: skip
         axis.semilogy(offset, 1e3 * np.abs(values), **style)
-    axis.set(xlabel="Frequency - 10 MHz [kHz]", ylabel="Admittance [mS]")
+    axis.set(xlabel="Frequency above 10 MHz [kHz]", ylabel="Admittance [mS]")
     axis.set_title(f"Crystal: Q = {0.5 / crystal.damping_ratios[0]:.0f}")
 
 
@@ -190,11 +190,10 @@ assert len(elements) == 5
 
 
 def draw_battery(axis):
-    fitted = battery.predicted.ravel()
-    pair(axis, 1e3 * impedance.real, -1e3 * impedance.imag, -1e3 * fitted.imag,
-         xlabel="Re Z [mΩ]", ylabel="−Im Z [mΩ]")  # fmt: skip
-    axis.lines[1].set_xdata(1e3 * fitted.real)
-    axis.set_ylim(-5, 25)
+    fitted = battery.system(2j * np.pi * np.geomspace(0.002, 1000, 600))
+    axis.plot(1e3 * impedance.real, -1e3 * impedance.imag, ".", color="0.6", markersize=4, label="measured")
+    axis.plot(1e3 * fitted.real, -1e3 * fitted.imag, color="C0", linewidth=1.3, label="model")
+    axis.set(xlabel="Re Z [mΩ]", ylabel="−Im Z [mΩ]", ylim=(-5, 25))
     axis.set_title("Battery: {:.0f} ms and {:.1f} s".format(*battery.time_constants[::-1] * [1e3, 1]))
 
 
@@ -234,7 +233,7 @@ def draw_network(axis):
         axis.plot(1e-6 * f_network, 20 * np.log10(np.abs(waves[row, 0])), ".", color="0.6", markersize=4)
         axis.plot(1e-6 * f_network, 20 * np.log10(np.abs(model[row, 0])), color=color, linewidth=1.3, label=name)
     axis.set(xlabel="Frequency [MHz]", ylabel="Scattering [dB]", ylim=(-40, 3))
-    axis.legend(loc="lower left", fontsize="small")
+    axis.legend(loc="lower right", fontsize="small")
     axis.set_title("Network: {:.1f}, {:.1f} MHz".format(*1e-6 * network.hertz))
 
 
