@@ -77,7 +77,7 @@ for (name, values), marker in zip(modes.items(), "ox^", strict=True):
 left.axhline(0.0, color="0.4", lw=1)
 left.set(xlabel="Natural frequency [Hz]", ylabel="Damping ratio [%]", title="Modes of the loops", ylim=(-1, 14))
 left.grid(alpha=0.4)
-left.legend()
+left.legend(loc="upper left")
 time = np.linspace(0.0, 8.0, 400)
 for name, color in (("no controller", "C0"), ("dashpot", "C2")):
     steps = np.array([phc.step_response(loop, time, input=0, output=0).outputs.ravel() for loop in found[name]])
