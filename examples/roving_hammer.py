@@ -87,18 +87,18 @@ turned = np.sign(shapes[:, [SENSOR]])  # a shape and its opposite are one
 assert np.all(np.abs(measured - turned * shapes) < 5 * spread)
 
 # %%
-# The shapes over the beam, with their 95 % intervals, and the textbook's.
+# The shapes over the beam and the textbook's, and damping ratios; intervals are those of 95 %.
 
 x = np.linspace(0, 1, 300)
 figure, axes = plt.subplots(2, 3, figsize=(9, 5.6), layout="constrained", sharex=True, sharey=True)
 for l, axis in enumerate(axes.flat[:5]):
     axis.plot(x, turned[l] * bending(x)[l], color="0.6", label="textbook")
     axis.errorbar(
-        POSITIONS, measured[l], 1.96 * spread[l], fmt="o", markersize=4, capsize=3, color="C0", label="nine hits"
+        POSITIONS, measured[l], 1.96 * spread[l], fmt="o", markersize=4, capsize=3, color="C0", label="nine hits, 95 %"
     )
     axis.plot(POSITIONS[SENSOR], measured[l, SENSOR], "s", markersize=8, fillstyle="none", color="C3", label="sensor")
-    deviation = 100 * result.stderr["damping_ratios"][l]
-    title = f"{result.hertz[l]:.2f} Hz, {100 * result.damping_ratios[l]:.3f} % ± {deviation:.3f} %"
+    half = 196 * result.stderr["damping_ratios"][l]
+    title = f"{result.hertz[l]:.2f} Hz, {100 * result.damping_ratios[l]:.3f} % ± {half:.3f} %"
     axis.set_title(title, loc="left", fontsize="medium")
     axis.axhline(0, color="0.3", linewidth=0.8)
     axis.grid(True, alpha=0.4)
