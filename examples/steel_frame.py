@@ -99,7 +99,7 @@ assert abs(stored[-1] / stored[2] - 1) < 1e-10
 # The first modes that the hammer sees, and the first that it does not.
 
 place = np.array([(BAY * c, HEIGHT * s) for (c, s) in joints])
-figure, axes = plt.subplots(1, 4, figsize=(10, 2.7), layout="constrained", sharex=True, sharey=True)
+figure, axes = plt.subplots(1, 4, figsize=(10, 2.2), layout="constrained", sharex=True, sharey=True)
 hidden = np.array([np.min(np.abs(seen.d / d - 1)) > 1e-6 for d in np.sqrt(reference)])
 chosen = [*np.flatnonzero(~hidden)[:2], *np.flatnonzero(hidden)[:2]]
 for mode, axis in zip(chosen, axes, strict=True):
@@ -107,7 +107,7 @@ for mode, axis in zip(chosen, axes, strict=True):
     motion[COLUMNS:] = shapes[:, mode].reshape(-1, 3)[:, :2]
     moved = place + 2.5 * motion / np.max(np.abs(motion))
     for one, other, *_ in members:
-        axis.plot(*place[[one, other]].T, color="0.85", linewidth=1)
+        axis.plot(*place[[one, other]].T, color="0.85", linewidth=1, zorder=1)
         axis.plot(*moved[[one, other]].T, color="C0", linewidth=1.2)
     axis.set_title(f"{hertz[mode]:.2f} Hz, {'hidden' if hidden[mode] else 'seen'}", fontsize="medium")
     axis.set_aspect("equal")
