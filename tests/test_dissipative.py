@@ -426,7 +426,8 @@ def test_modes_plot_draws_weights_and_damping_ratios():
         np.testing.assert_allclose(heads.get_ydata(), weights)
         np.testing.assert_allclose(ratios.get_xydata(), np.transpose([heads.get_xdata(), [0.1, 0.9, 0.02]]))
         assert plot.axes[1, 0].get_xlabel() == "Natural frequency [Hz]"
-        assert plot.axes[1, 0].get_ylabel() == "Damping ratio ζ"
+        assert plot.axes[1, 0].get_ylabel() == "Damping ratio [%]"
+        assert plot.axes[1, 0].yaxis.get_major_formatter()(0.05, None) == "5"
     # beside a lossless one, on axes of one's own
     _, axes = plt.subplots(2, 1)
     both = phc.modes_plot([phc.ph(classical), phc.modes([1.0, 2.0], [1.0, 1.0])], ax=axes)

@@ -293,7 +293,8 @@ def _draw_damping(axis: Axes, tables: list[ModeTable], unit: float, look: Look) 
         low, high = min(float(every.min(initial=0.0)), 0.0), float(every.max(initial=0.0))
         span = high - low or 1.0
         axis.set_ylim(low - 0.03 * span, high + 0.08 * span)
-    axis.set_ylabel("Damping ratio ζ")
+    axis.set_ylabel("Damping ratio [%]")
+    axis.yaxis.set_major_formatter(lambda ratio, _: f"{100 * ratio:g}")
     return lines
 
 
