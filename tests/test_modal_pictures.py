@@ -674,7 +674,7 @@ def test_what_has_no_diagram_or_table_is_refused(call, words):
 
 
 def test_the_table_says_which_hypotheses_the_data_reject():
-    rows = [("lossless", 812.25, 20, 1e-150), ("classical", 18.3, 16, 0.31), ("rank one", 33.1, 12, 0.00093)]
+    rows = [("lossless", 812.25, 20, 0.0), ("classical", 18.3, 16, 0.31), ("rank one", 33.1, 12, 0.00093)]
     names = ("hypothesis", "likelihood_ratio", "dof", "p")
     tests = [SimpleNamespace(**dict(zip(names, row, strict=True))) for row in rows]
     for given, level, said in ((tests, 0.05, 2), (SimpleNamespace(tests=tests), 0.5, 3)):
@@ -683,6 +683,7 @@ def test_the_table_says_which_hypotheses_the_data_reject():
         assert [texts[0, j] for j in range(4)] == ["hypothesis", "likelihood ratio", "dof", "p-value"]
         assert texts[0, 4] == f"at {100 * level:g} %"
         assert [texts[2, j] for j in range(4)] == ["classical", "18.3", "16", "0.31"]
+        assert texts[1, 3] == "< 1e-300"
         assert sum(texts[i, 4] == "rejected" for i in (1, 2, 3)) == said
 
 

@@ -697,7 +697,8 @@ def hypothesis_table(tests: Any, level: float) -> list[list[str]]:
         )
     return [
         [
-            str(test.hypothesis), f"{test.likelihood_ratio:.5g}", f"{test.dof:g}", p_value(test.p).replace("p = ", ""),
+            str(test.hypothesis), f"{test.likelihood_ratio:.5g}", f"{test.dof:g}",
+            p_value(test.p).removeprefix("p ").removeprefix("= "),
             "rejected" if test.p < level else "not rejected",
         ]
         for test in listed
