@@ -80,7 +80,7 @@ class _Delays:
         while begin + len(tried) <= self.most and (after := self.after(begin + len(tried))) is not None:
             tried.append(after)
             first, least = tried[0], min(each.cost for each in tried)
-            patience = _WORSE[bool(begin) or first.cost > least]
+            patience = _WORSE[bool(begin) or first.cost - least > _SPARED * first.state]
             worse = min(each.cost for each in tried[-patience:]) > least
             if worse or (len(tried) > _FEW and first.cost - least < _SPARED * (len(tried) - 1) * first.state):
                 break
