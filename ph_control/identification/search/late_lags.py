@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import correlate, lfilter
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.signal import lfilter
 
 from ..._checks import EPS
 from ..._types import Array, Indices
@@ -117,11 +118,11 @@ class LateLagScan:
             y, basis, responses = self._columns(record, rates)
             window, whole = self._window(record), np.zeros((len(y) + len(basis) + 1, responses.shape[1]))
             whole[:, window] = [*y, *basis, np.ones(len(window))]
-            with_each = np.stack([_products(whole[:-1], response, delays) for response in responses], axis=-1)
+            with_each = _products(whole[:-1], responses, delays)
             products[record.outputs] += with_each[: len(y)]
-            own = with_each[len(y) :]
-            squares = [[_products(whole[-1:], a * b, delays)[0] for b in responses] for a in responses]
-            gram[record.outputs] += np.transpose(squares, (2, 0, 1)) - np.einsum("kdi,kdj->dij", own, own)
+            own, pairs = with_each[len(y) :], (responses[:, None] * responses).reshape(count**2, -1)
+            squares = _products(whole[-1:], pairs, delays).reshape(delays, count, count)
+            gram[record.outputs] += squares - np.einsum("kdi,kdj->dij", own, own)
             total[record.outputs] += np.sum(y**2, axis=1)
         return _left_over(total[:, None], gram, products)
 
@@ -139,15 +140,17 @@ class LateLagScan:
         return _left_over(total, gram, products)
 
 
-def _products(rows: Array, response: Array, delays: int) -> Array:
-    """Return sums of products (rows, delays) with a response (T,) that comes 0, 1, .. samples later."""
-    later = correlate(rows, response[None], method="fft")
-    return np.asarray(later[:, len(response) - 1 :][:, :delays])
+def _products(rows: Array, responses: Array, delays: int) -> Array:
+    """Return sums of products (rows, delays, n) with responses (n, T) that come 0, 1, .. samples later."""
+    size = next_fast_len(rows.shape[1] + delays, real=True)
+    spectra = rfft(rows, size)[:, None] * rfft(responses, size).conj()
+    return np.asarray(irfft(spectra, size)[..., :delays].transpose(0, 2, 1))
 
 
 def _left_over(total: Array, gram: Array, products: Array) -> Array:
     """Return what columns leave of sums of squares (..), of inner products (.., k, k), and (.., k) with the outputs."""
-    tiny, count = np.finfo(float).tiny, products.shape[-1]
-    size = EPS * np.trace(gram, axis1=-2, axis2=-1) + tiny
-    solved = np.linalg.solve(gram + size[..., None, None] * np.eye(count), products[..., None])[..., 0]
-    return np.maximum(total - np.sum(products * solved, axis=-1), EPS * total + tiny)
+    power = np.diagonal(gram, axis1=-2, axis2=-1)
+    scale = np.sqrt(np.where(power > 0, power, 1.0))
+    gram, products = gram / (scale[..., None] * scale[..., None, :]), products / scale
+    solved = np.linalg.solve(gram + TUNING.ridge * np.eye(scale.shape[-1]), products[..., None])[..., 0]
+    return np.maximum(total - np.sum(products * solved, axis=-1), EPS * total + np.finfo(float).tiny)
