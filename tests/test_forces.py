@@ -166,6 +166,16 @@ def test_slow_noise_is_no_force_where_it_makes_poles_grow_in_white_noise():
     assert phc.residual_analysis((u, y + slow), result).whiteness > 1e-3
 
 
+def test_two_modes_within_a_bin_are_no_forces_beside_one():
+    rng = np.random.default_rng(17)
+    u, y = rng.standard_normal(1500), np.zeros(1500)
+    for d, k in ((0.6, 0.9), (0.6 + 1.06 * 2 * np.pi / 1500, 0.4)):
+        z = np.exp(1j * d)
+        y += 2 * k * lfilter([0, (z - 1) / (1j * d)], [1, -z], u.astype(complex)).real
+    result = phc.pem((u, y + 0.1 * y.std() * rng.standard_normal(1500)), dt=1.0)
+    assert result.order == 2 and not causes(result)
+
+
 def test_a_delay_is_told_from_what_forces_do():
     late = 6
     u, y = record(7, 2000 + late, forces=0.2)

@@ -75,7 +75,14 @@ def in_prevailing_noise(channels: Experiments, search: Search, late: Lateness) -
         coloured = search.along(path, channels, p)
         stands = coloured.interrupted or bool(coloured.states and not leaves_traces(coloured.projection))
         return Begun(coloured, coloured, stands)
-    return None if forced.beside is None else Begun(fit, forced, not errors_leave_traces(forced))
+    if forced.beside is None:
+        return None
+    try:
+        white = path.reweighted(path.model(forced.projection.p))
+    except KeyboardInterrupt:
+        return Begun(fit, replace(forced, interrupted=True), True)
+    # a predictor takes two modes for one, beside which forces stand for what it lacks
+    return Begun(fit, forced, not errors_leave_traces(forced)) if path.bic(white) > forced.criteria.bic else None
 
 
 def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) -> tuple[ComplexArray, float] | None:
