@@ -229,6 +229,17 @@ def test_noise_alone_has_no_modes():
     assert np.allclose(np.sqrt(fit.noise_variance), 1.0, atol=0.15)
 
 
+def test_tones_far_from_modes_tell_their_residues():
+    t, rng = np.arange(2500), np.random.default_rng(0)
+    u = sum(np.sin(w * t + w) for w in (0.07, 0.45, 0.9, 1.6, 2.4))[None]
+    d = np.array([0.31, 1.1, 1.9])
+    y = recorded(1j * d, np.array([1.0, 0.7, 1.3])[:, None, None] + 0j, u=u, noise=0.0, start=0.0)[1]
+    fit = phc.pem((u, y + 0.03 * y.std() * rng.standard_normal(y.shape)), dt=1.0)
+    losses = {row.order: row.loss for row in fit.order_table}
+    assert fit.order == 3 and np.all(np.abs(fit.natural_frequencies - d) < 4 * fit.stderr["natural_frequencies"])
+    assert losses[3] < 1.05 * min(losses.values())  # before any mode too many
+
+
 @pytest.mark.slow
 def test_coloured_noise_is_no_mode():
     u, y, _ = recorded(noise=0.0, samples=500)

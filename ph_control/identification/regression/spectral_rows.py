@@ -28,6 +28,7 @@ from .tuning import TUNING
 Pair = tuple[ComplexArray, ComplexArray]
 
 _NEAR = 1e-3  # turns of a mode away from a bin, below which a series is more accurate
+_LOUD = 30.0  # times the mean power of all bins
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,13 @@ class ChannelSpectra:
     def last(self) -> int:
         """Last bin below the Nyquist frequency."""
         return (self.length - 1) // 2
+
+    @cached_property
+    def loud(self) -> Indices:
+        """Bins that hold much of the power of an input, as those of tones."""
+        power = np.abs(self.U[:, : self.last + 1]) ** 2
+        power[:, 0] = 0.0
+        return np.flatnonzero(np.any(power > _LOUD * power.mean(axis=1, keepdims=True), axis=0))
 
     def place(self, d: Array) -> Array:
         """Frequencies in bins, as the samples show them."""
@@ -264,7 +272,8 @@ class FreeWindow:
     def thinned(cls, spectrum: ChannelSpectra, p: ComplexArray) -> FreeWindow:
         """The bins about some modes as far as their peaks reach; of wide ones a part, each counting as many.
 
-        A few bins everywhere tell what is fed through from the tails of peaks.
+        A few bins everywhere tell what is fed through from the tails of peaks, and residues have to explain what inputs
+        do that have most of their power elsewhere.
         """
         ranges, widths = [], np.abs(p.real) / spectrum.record.bin
         for k in np.argsort(-widths):
@@ -272,6 +281,8 @@ class FreeWindow:
             centre = int(np.rint(spectrum.place(p.imag[k : k + 1])[0]))
             ranges.append((max(0, centre - reach), centre + reach + 1, 2 * reach // TUNING.thinned))
         bins, counts = thinned_places(ranges, spectrum.last + 1, 1 + spectrum.last // TUNING.everywhere)
+        loud = np.setdiff1d(spectrum.loud, bins)
+        bins, counts = np.append(bins, loud), np.append(counts, np.ones(len(loud)))
         return cls(spectrum, bins[bins >= 1], counts[bins >= 1])
 
     @classmethod
