@@ -23,7 +23,8 @@ from .constrained import Approach, StructuredFit
 from .layout import ChannelLayout
 
 _GRID = 16  # delays that are compared within the interval between samples
-_EXPLAINED = 0.5  # of what residues have beside a structure: delays that explain less are none
+_REST = 0.05  # of the squares by which residues are off a structure, which delays may leave,
+_BY_CHANCE = 3.0  # and of each residue in units of its variance: what leaves more is no delay
 _STARTS = 2  # common delays that are tried
 _MARGIN = 1.5  # samples by which a search may go beyond where it began
 _BROAD = 0.2  # damping ratio from which on modes may stand for a delay
@@ -187,14 +188,16 @@ def _starts(projection: FreeProjection, layout: ChannelLayout, now: Array, ceili
     there = [now[groups == output][:1] for output in range(layout.outputs)]
     each = np.stack([beside_real_shapes(projection, layout, k, grid - known) for k, known in enumerate(there)])
     none = np.concatenate([beside_real_shapes(projection, layout, k, -known) for k, known in enumerate(there)])
+    count = np.sum(projection.p.imag > 0) * layout.outputs * layout.inputs
+    most = min(none.sum() - 2 * TUNING.sure, _REST * none.sum() + _BY_CHANCE * count)
     total = each.sum(axis=0) + prior
     minima = np.unique(np.append(argrelmin(total)[0], np.argmin(total)))
     for place in minima[np.argsort(total[minima])][:_STARTS].tolist():
-        if total[place] < _EXPLAINED * none.sum():
+        if total[place] < most:
             yield Delays(np.zeros_like(groups), grid[[place]])
     if layout.outputs > 1:
         places = np.argmin(each + prior, axis=1)
-        if np.sum((each + prior)[np.arange(len(each)), places]) < _EXPLAINED * none.sum():
+        if np.sum((each + prior)[np.arange(len(each)), places]) < most:
             yield Delays(groups, grid[places])
 
 
