@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, Mask
 from ..data.channels import Recording
 from ..data.parts import is_long
 from ..regression.free import FreeProjection, refine_free
@@ -23,8 +23,7 @@ _BY_CHANCE = 1e-4  # probability that a plant that does not change shows such a 
 _KNOWN = 0.3  # relative error of the decay rate of a mode in a half, beyond which nothing is said of it
 _SHOWN = 10.0  # times the unknowns of a mode, in squares of standard errors: what a half has to show of it
 _FEWEST = 6  # times the unknowns that a half has samples
-_ROUGH = 1e-4  # relative decrease of the loss at which the refinement in a half ends,
-_STEPS = 4  # or after so many
+_ROUGH = 1e-4  # relative decrease of the loss at which the refinement in a half ends
 _NEAR = 0.005  # p-value from which on a pole is a multiple of others,
 _SMALL = 0.2  # with so much of the amplitude of each of them at most
 _ASIDE = 0.02  # relative error of the decay rate of a multiple, beyond which many would agree by chance
@@ -45,39 +44,55 @@ def not_linear(fit: FreeFit) -> list[Finding]:
 
 
 def _halves(fit: FreeFit, rows: Sequence[FreeRecord]) -> list[Finding]:
-    """Modes whose poles in the first halves of recordings are not those in the second."""
-    p = fit.projection.p
+    """Modes whose poles in the first halves of recordings are not those in the second.
+
+    Poles that are a step away from those of the whole tell whether any are; those of the halves are refined then.
+    """
+    p, fed = fit.projection.p, fit.projection.fed
     halves = [[_half(record, second) for record in rows] for second in (False, True)]
     if any(min(record.samples for record in half) < _FEWEST * fit.unknowns for half in halves):
         return []
-    each, shown = [], p.imag > 0
-    for half in halves:
-        projection = _refined(half, p, fit)
-        if len(projection.p) != len(p) or np.any((projection.p.imag > 0) != (p.imag > 0)):
-            return []
-        variance = projection.loss / max(1, projection.rows - projection.unknowns)
-        # a mode that has decayed leaves its place to noise
-        shown &= projection.evidence > _SHOWN * variance * projection.unknowns / fit.order
-        each.append((projection.p, projection.covariance(variance)))
-    n, findings = len(p), []
-    (first, first_spread), (second, second_spread) = each
-    for l in np.flatnonzero(shown).tolist():
+    if not _apart([_known(FreeProjection(half, p, fed), fit) for half in halves], fit):
+        return []
+    ends = [_refined(half, fit) for half in halves]
+    same = all(len(end.p) == len(p) and np.array_equal(end.p.imag > 0, p.imag > 0) for end in ends)
+    return _apart([_known(end, fit) for end in ends], fit) if same else []
+
+
+def _refined(rows: Sequence[FreeRecord], fit: FreeFit) -> FreeProjection:
+    """Modes of a fit refined in some rows."""
+    return refine_free(lambda _: rows, fit.projection.p, fit.region, _ROUGH, fit.projection.fed, last=False)
+
+
+_Known = tuple[ComplexArray, Array, Mask]  # poles, covariance of their imaginary and real parts, and which are shown
+
+
+def _known(projection: FreeProjection, fit: FreeFit) -> _Known:
+    """Poles of half of the recordings, a step of Gauss and Newton from some, and how well they are known."""
+    n, variance = len(projection.p), projection.loss / max(1, projection.rows - projection.unknowns)
+    spread = projection.covariance(1.0)[: 2 * n, : 2 * n]
+    slopes = projection.sections.pole_slopes
+    step = -spread @ np.linalg.lstsq(slopes.T, projection.gradient, rcond=None)[0]
+    # a mode that has decayed leaves its place to noise
+    shown = (projection.p.imag > 0) & (projection.evidence > _SHOWN * variance * projection.unknowns / fit.order)
+    return projection.p + step[n:] + 1j * step[:n], variance * spread, shown
+
+
+def _apart(halves: Sequence[_Known], fit: FreeFit) -> list[Finding]:
+    """Modes whose poles in two halves are further apart than chance."""
+    (first, first_spread, _), (second, second_spread, _) = halves
+    n, findings = len(first), list[Finding]()
+    for l in np.flatnonzero(np.logical_and(*(shown for *_, shown in halves))).tolist():
         both = np.ix_([l, n + l], [l, n + l])
-        known = [np.sqrt(max(spread[n + l, n + l], 0.0)) < _KNOWN * abs(p[l].real) for _, spread in each]
-        spread = first_spread[both] + second_spread[both]
-        if not all(known):
+        rates = [np.sqrt(max(spread[n + l, n + l], 0.0)) / abs(poles[l].real) for poles, spread, _ in halves]
+        if max(rates) >= _KNOWN:
             continue
         apart = np.array([(first - second)[l].imag, (first - second)[l].real])
-        statistic = float(apart @ np.linalg.pinv(spread, hermitian=True) @ apart)
+        statistic = float(apart @ np.linalg.pinv((first_spread + second_spread)[both], hermitian=True) @ apart)
         if chi2.sf(statistic, 2) * fit.order < _BY_CHANCE:
             values = [abs(first[l]), abs(second[l]), *(-pole.real / abs(pole) for pole in (first[l], second[l]))]
             findings.append(Finding(Cause.CHANGING_MODE, tuple(map(float, values)), 0.5 * statistic))
     return findings
-
-
-def _refined(rows: Sequence[FreeRecord], p: ComplexArray, fit: FreeFit) -> FreeProjection:
-    """Modes of a fit refined in some rows."""
-    return refine_free(lambda _: rows, p, fit.region, _ROUGH, fit.projection.fed, last=False, steps=_STEPS)
 
 
 def _half(record: FreeRecord, second: bool) -> FreeRecord:
