@@ -27,7 +27,7 @@ from .assumptions import Search
 
 ROUNDS = 8  # of fit and law in turn
 SETTLED = 1e-3  # relative change of the weights
-_RATIOS = 49  # of a to b that are tried first,
+_RATIOS = 25  # of a to b that are tried first,
 _SOME = 4000  # over so many points, or twice as many
 _FREE = 0.5  # of the noise of a point that modes leave, where they do not follow it
 _TURNS = 30  # of a fixed point, at most
