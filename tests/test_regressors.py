@@ -418,3 +418,15 @@ def test_weighted_rows_are_those_divided_by_the_level():
     columns = np.concatenate(list(plain.evaluated(poles).blocks()), axis=1) / level[observed]
     R = weighted.evaluated(poles).factor(200)
     np.testing.assert_allclose(R.T @ R, columns @ columns.T, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("offset, moving, driven", [(False, True, True), (True, False, True), (True, True, False)])
+def test_poles_by_frequency_fit_the_same_data_as_in_any_order(offset, moving, driven):
+    poles = np.append(POLES[[2, 0, 1]], -0.4 + 0j)
+    record, _ = record_for(300, offset, moving, driven, True, "exact", "zoh", 9)
+    sorted_ = FreeProjection([record], poles).ascending()
+    anew = FreeProjection([record], poles[np.argsort(np.abs(poles))])
+    assert np.array_equal(sorted_.p, anew.p)
+    np.testing.assert_allclose(sorted_.losses, anew.losses, rtol=1e-10)
+    for known, other in ((sorted_.shared, anew.shared), (sorted_.own[0], anew.own[0]), (sorted_.gram, anew.gram)):
+        np.testing.assert_allclose(known, other, rtol=0, atol=1e-7 * np.abs(other).max(initial=0.0))

@@ -58,7 +58,7 @@ def _of_recording(structure: FittedStructure, channel: Recording, rows: _Rows) -
                 errors[which] = scale * roots([spread[-1, -1] for spread, _ in structure.own_spreads(place)])
             values = part.placed(values)
         if len(which) == outputs:
-            predicted = np.multiply(values, scale[:, None], out=values)
+            predicted = np.multiply(values, scale[:, None], out=values if values.flags.writeable else None)
         else:
             predicted[which] = values * scale[:, None]
         predicted[which] += np.broadcast_to(channel.hum, predicted.shape)[which]

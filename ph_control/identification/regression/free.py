@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..data.time_record import LONG
 from ..data.windowed import crossed_scores, share_errors
 from .elimination import LinearProjection, eliminate, inverse_gram, null_space, orthogonal, without
 from .frequency_rows import FreeResponse
@@ -186,6 +187,7 @@ class FreeProjection(LinearProjection):
         self.inputs = max(int(rows.acting.max(initial=-1)) + 1 for rows in experiments)
         self.fed = fed
         self.region: PoleRegion | None = None  # at whose border poles may be
+        self._predictions: list[NDArray[Any]] | None = None
 
     @property
     def pole_parts(self) -> Array:
@@ -245,7 +247,10 @@ class FreeProjection(LinearProjection):
     ) -> GivenResidues:  # fmt: skip
         """The same data at other poles and shared unknowns, which may be those of `experiments` with delays."""
         experiments = self.experiments if experiments is None else experiments
-        return GivenResidues(FreeProjection(experiments, p, self.fed, sections), shared)
+        projection = FreeProjection(experiments, p, self.fed, sections)
+        if experiments is self.experiments and np.array_equal(p, self.p):
+            projection.factors = self.factors
+        return GivenResidues(projection, shared)
 
     def rescaled(self, experiments: Sequence[FreeRows], ratio: Array, fed: Mask | None) -> FreeProjection:
         """The same poles in rows whose outputs are as large as these, times the `ratio` (outputs,)."""
@@ -259,9 +264,16 @@ class FreeProjection(LinearProjection):
     def ascending(self) -> FreeProjection:
         """The same with the poles by natural frequency, and the coordinates of these."""
         rank = np.argsort(self.d)
-        projection = FreeProjection(self.experiments, self.p[rank], self.fed)
-        if np.array_equal(rank, np.arange(len(rank))):
+        projection, modes = FreeProjection(self.experiments, self.p[rank], self.fed), np.arange(len(rank))
+        if np.array_equal(rank, modes):
             projection.factors = self.factors
+            return projection
+        projection.factors = []
+        for rows, factor in zip(self.experiments, self.factors, strict=True):
+            columns = np.arange(factor.shape[1])
+            for first in self._firsts(rows):
+                columns[first + modes] = first + rank
+            projection.factors.append(reduced(np.asfortranarray(factor[:, columns])))
         return projection
 
     def without_mode(self, k: int) -> FreeProjection:
@@ -272,13 +284,18 @@ class FreeProjection(LinearProjection):
             return projection  # fewer modes leave unknowns to others
         projection.factors = []
         for rows, factor in zip(self.experiments, self.factors, strict=True):
-            width, own = 2 * n + rows.through, rows.own_unknowns(n)
-            starts = [0] * rows.moving + [own + width * i for i in range(rows.inputs)]
-            slopes = own + width * rows.inputs
-            starts += list(range(slopes, slopes + 2 * n * (rows.moving + rows.inputs), 2 * n))
-            dropped = [start + place for start in starts for place in (k, n + k)]
+            dropped = [first + k for first in self._firsts(rows)]
             projection.factors.append(reduced(np.asfortranarray(np.delete(factor, dropped, axis=1))))
         return projection
+
+    def _firsts(self, rows: FreeRows) -> list[int]:
+        """First columns of all that factors have of each mode, in the order of the modes."""
+        n = len(self.p)
+        width, own = 2 * n + rows.through, rows.own_unknowns(n)
+        slopes = own + width * rows.inputs
+        firsts = [0] * rows.moving + [own + width * i for i in range(rows.inputs)]
+        firsts += list(range(slopes, slopes + 2 * n * (rows.moving + rows.inputs), 2 * n))
+        return [first + part for first in firsts for part in (0, n)]
 
     @cached_property
     def evidence(self) -> Array:
@@ -383,13 +400,16 @@ class FreeProjection(LinearProjection):
         return [outputs[0] if len(outputs) == 1 else outputs for outputs in self.predictions()]
 
     def predictions(self) -> list[NDArray[Any]]:
-        """Outputs (q, T) at all instants or frequencies of each experiment."""
-        pairs = zip(self.experiments, self.own, strict=True)
-        n = len(self.p)
-        return [
-            rows.evaluated(self.p).predict(self.shared[np.ix_(places_of(rows, n), rows.outputs)], own)
-            for rows, own in pairs
-        ]
+        """Outputs (q, T) at all instants or frequencies of each experiment; kept unless many, not to be changed."""
+        if self._predictions is not None:
+            return self._predictions
+        n, predictions = len(self.p), list[NDArray[Any]]()
+        for rows, own in zip(self.experiments, self.own, strict=True):
+            shared = self.shared[np.ix_(places_of(rows, n), rows.outputs)]
+            predictions.append(rows.evaluated(self.p).predict(shared, own))
+            predictions[-1].flags.writeable = self.rows > LONG
+        self._predictions = predictions if self.rows <= LONG else None
+        return predictions
 
     def own_covariances(self, experiment: int, covariance: Array, variance: float) -> list[tuple[Array, Array]]:
         """Covariances of what belongs to an experiment, for each output, from that of poles and `shared`.
