@@ -199,7 +199,7 @@ def test_entries_of_a_response_matrix_share_shapes():
     }  # fmt: skip
     assert not found.stands("lossless")
     assert all(found.stands(one, 0.01) for one in ("classical", "passive", "rank one", "reciprocal"))
-    fit = choose(found, 0.01)
+    fit = choose(found, PoleRegion(0.006, 2.0), 0.01)
     assert fit.structure == "classical" and np.array_equal(fit.shapes[:, :2], fit.participation)
     signs = np.sign(np.sum(fit.shapes * shapes, axis=1))[:, None]
     assert np.allclose(fit.shapes * signs, shapes, rtol=0, atol=0.02)
@@ -236,9 +236,9 @@ def test_free_motion_is_tested_for_damping_alone():
     amplitudes = np.array([[1.0, 0.3j], [0.5, -0.4]])
     decaying = structure_tests(*free_motion(P, amplitudes, 0.1), REGION)
     assert [(one.hypothesis, one.dof) for one in decaying.tests] == [("lossless", 2)]
-    assert decaying.tests[0].p < 1e-6 and choose(decaying).hypothesis == "free"
+    assert decaying.tests[0].p < 1e-6 and choose(decaying, REGION).hypothesis == "free"
     still = structure_tests(*free_motion(1j * P.imag, amplitudes, 0.1), REGION)
-    assert still.tests[0].p > 0.01 and choose(still).structure == "lossless"
+    assert still.tests[0].p > 0.01 and choose(still, REGION).structure == "lossless"
 
 
 @pytest.mark.slow
@@ -261,7 +261,8 @@ def test_exact_data_stand_on_rounding():
     rows = [FreeRecord(u, y, np.ones(500, bool), Hold(1.0), through=False)]
     at = refine_free(lambda _: rows, p * (1 + 1e-4), PoleRegion(2 * np.pi / 500, np.pi), 1e-12)
     layout = ChannelLayout(1, 1, np.ones(1), ("velocity",), ((0, 0),))
-    fit = choose(structure_tests(at, layout, PoleRegion(2 * np.pi / 500, np.pi)))
+    region = PoleRegion(2 * np.pi / 500, np.pi)
+    fit = choose(structure_tests(at, layout, region), region)
     assert fit.structure == "lossless" and np.allclose(fit.p, p, rtol=1e-10)
 
 
@@ -355,7 +356,7 @@ def test_a_free_fit_that_is_passive_stays_as_it_is():
     found = structure_tests(at, layout, region)
     passive = next(one for one in found.tests if one.hypothesis == "passive")
     assert (passive.likelihood_ratio, passive.dof, passive.p) == (0.0, 0, 1.0)
-    fit = choose(found)
+    fit = choose(found, region)
     assert fit.structure == "passive" and fit.loss == at.loss and np.array_equal(fit.p, at.p)
 
 

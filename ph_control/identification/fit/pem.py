@@ -138,7 +138,8 @@ def pem(
         If it raises `StopIteration`, or on `KeyboardInterrupt`, the best model so far is returned, and says so.
     structure : {'auto', 'lossless', 'classical', 'passive', 'free'}
         What is assumed: no losses and sensors at the actuators; damping that the real modes of the lossless plant
-        decouple; a plant that gives no energy; nothing.  'auto' takes the simplest that is not rejected at 5 %.
+        decouple; a plant that gives no energy; nothing.  'auto' takes the simplest that is not rejected at 5 %,
+        and has poles near those of the free fit.
     ports : list of (output, input), or mapping from output to input, optional
         Driving points, where an output is measured where and along which an input acts: labels, or numbers from 0.
         They set the scale of mode shapes.  Default: what the data give by an attribute `ports`, as `read_uff` does;

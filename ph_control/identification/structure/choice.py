@@ -97,7 +97,7 @@ def tested(
 ) -> tuple[StructuredFit, tuple[HypothesisTest, ...]]:
     """Choose the simplest structure that is not rejected, and return the tests of all, or of those `among` some."""
     tested = structure_tests(free.projection, layout_of(free, request), free.region, among)
-    return choose(tested), tested.tests
+    return choose(tested, free.region), tested.tests
 
 
 def _without_modes(free: FreeFit) -> StructuredFit:

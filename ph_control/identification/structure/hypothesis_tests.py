@@ -23,6 +23,7 @@ _ITERATIONS = 12  # three are usual
 _BEYOND = 100.0  # times the unknowns: a ratio at the nearest point of the free fit from which no way leads back
 _HOPELESS = 1e-6
 _LEAST = 0.1  # of the squares: what errors in common may take away
+_SAME_PLANT = 0.5  # of the size of a pole, by which that of a structure may be another
 
 
 @dataclass(frozen=True)
@@ -173,12 +174,18 @@ def _rounding(projection: FreeProjection) -> float:
     return projection.rows * EPS**2 * projection.rows * GivenResidues(projection, np.zeros_like(projection.shared)).loss
 
 
-def choose(tests: StructureTests, level: float = LEVEL) -> StructuredFit:
+def choose(tests: StructureTests, region: PoleRegion, level: float = LEVEL) -> StructuredFit:
     """Return the simplest structure that is not rejected: lossless, classical, passive, free.
 
-    Of a free model, residues have rank one if that is not rejected, since those of simple poles have.
+    Records that tell little reject little: none of its poles may be those of another plant than the free fit has.  Of a
+    free model, residues have rank one if that is not rejected, since those of simple poles have.
     """
+    free = tests.fits["free"]
+    reach = np.maximum(_SAME_PLANT * np.abs(free.p), region.bin)
     for hypothesis, known in HYPOTHESES.items():
-        if known.chosen and tests.stands(hypothesis, level):
-            return tests.fits[hypothesis]
-    return tests.fits["free"]
+        fit = tests.fits.get(hypothesis)
+        if fit is None or not (known.chosen and tests.stands(hypothesis, level)):
+            continue
+        if np.all(np.any(np.abs(fit.p[:, None] - free.p) <= reach, axis=1)):
+            return fit
+    return free
