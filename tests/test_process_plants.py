@@ -87,6 +87,27 @@ def test_two_lags_and_a_dead_time_are_no_three_lags(seed):
     assert np.all(np.abs(1 / result.time_constants - [0.1, 1 / 3]) < 3 * result.stderr["real_poles"])
 
 
+def heated(seed, samples):
+    """Input, response of two lags, and output with load noise of its size."""
+    rng = np.random.default_rng(seed)
+    u = levels(rng, samples, 25)
+    x = chained(u, (np.exp(-1 / 20), np.exp(-1 / 5)))
+    return u, x, x + np.std(x) * autoregressive(rng, samples, 0.95)
+
+
+def test_lags_of_a_given_number_are_found_beside_load_noise():
+    u, x, y = heated(9, 1200)
+    result = phc.pem((u, y), 0, real_poles=2, dt=1.0)
+    assert np.allclose(np.sort(result.time_constants), [5, 20], rtol=0.3) and simulated_percent(result, u, x) > 90
+
+
+def test_where_noise_hides_the_plant_no_other_one_is_taken_for_it():
+    # an integrator is not rejected: nearly all of the likelihood is that of the noise
+    u, x, y = heated(35, 700)
+    result = phc.pem((u, y), dt=1.0)
+    assert result.structure == "classical" and result.time_constants[0] < 100 and simulated_percent(result, u, x) > 50
+
+
 @pytest.mark.slow
 def test_a_plant_that_a_noise_model_could_swallow_is_found_with_its_dead_time():
     rng = np.random.default_rng(3)

@@ -22,7 +22,7 @@ def chosen(path: FreePath, start: ComplexArray, most: int, automatic: bool) -> F
     # coloured noise would take over what a plant lacks that has too few poles, when their number is given; beside
     # modes with a peak it would take over the weak ones, though broad noise is no mode with a peak in any case
     peaks = bool(np.any((model.p.imag > 0) & ~are_broad(model.p)))
-    if peaks or not (automatic and path.options.real_poles in ("auto", 0) and _coloured(path, model)):
+    if peaks or not ((automatic or not most) and _coloured(path, model)):
         return model
     # noise of a model that is too small has what this lacks: in its rows others are looked for, and from nothing
     models = [path.in_its_noise(model)]

@@ -142,12 +142,14 @@ class Search:
                 none[1] if given.input_delay is None else given.input_delay,
             )
         terms = int(bool(given.offset)) if terms is None else terms
+        # real poles of a given number become no modes beyond the given ones
+        largest = given.max_order if self.automatic else self.most if given.real_poles not in ("auto", 0) else None
         return FreePath.of(
             channels,
             RowOptions(given.quantities, hold or given.intersample, terms, given.moving, given.method, late),
             SearchOptions(
                 given.criterion, given.reports, given.real_poles, given.drifting and terms == 1, given.white,
-                given.max_order if self.automatic else None,
+                largest,
             ),
         )  # fmt: skip
 
