@@ -13,26 +13,24 @@ from .predictor_states import likeliest, predictors_of, signals_of
 _ROWS = 100  # of a covariance
 _SHARE = 10  # of the shortest record: no delay is longer
 _LONGEST = 1000  # samples
-_WORSE = 2, 6  # delays one after the other that foretell less than none, or than some, after which none is looked at
-_FEW = 8  # delays after which no longer ones are looked at unless states are spared
 _SPARED = 0.5  # of the states that a delay spares, which have to show in the criterion
+_NEXT_TO_NOTHING = 0.01  # of what all inputs foretell
+_PATIENCE = 2, 6  # delays one after the other that are no likelier, after which none is looked at; more beyond the past
 
 
 @dataclass(frozen=True)
 class _AfterDelay:
-    """The best predictor after a delay: its BIC, twice the negative log-likelihood of all of the past.
+    """The best predictor after a delay: its BIC, what a state costs that a delay spares, and the longest past.
 
-    What a state costs that a delay spares, and what an input; the longest past; whether inputs foretell anything, and
-    are fed through.
+    Then whether inputs foretell anything, and for how many samples, the present one first, nothing, or next to nothing.
     """
 
     cost: float
-    loss: float
     state: float
-    input: float
     past: int
     shown: bool
-    fed: bool
+    idle: int
+    nearly_idle: int
 
 
 @dataclass(frozen=True)
@@ -45,9 +43,9 @@ class _Delays:
     known: dict[int, _AfterDelay | None] = field(default_factory=dict)
 
     def after(self, samples: int) -> _AfterDelay | None:
-        """Delay by some samples; None where records are too short."""
+        """Delay by some samples; None where records are too short, or there are no such delays."""
         if samples not in self.known:
-            self.known[samples] = self._after(samples)
+            self.known[samples] = self._after(samples) if 0 <= samples <= self.most else None
         return self.known[samples]
 
     def _after(self, samples: int) -> _AfterDelay | None:
@@ -58,11 +56,10 @@ class _Delays:
             return None
         count = sum(each.shape[1] for each in signals or ())
         longest, price = predictors[0], float(np.log(count * self.outputs))
-        cost, states, best = likeliest(predictors, count, longest.largest)[0]
+        cost, _, best = likeliest(predictors, count, longest.largest)[0]
         return _AfterDelay(
-            cost, count * float(longest.errors[-1]), best.inputs * (best.signals + self.outputs) * price,
-            best.inputs * self.outputs * price, longest.horizon, longest.shows_inputs(count),
-            best.feeds_through(states, count),
+            cost, best.inputs * (best.signals + self.outputs) * price, longest.horizon, longest.shows_inputs(count),
+            *(longest.idle_inputs(count, share) for share in (0.0, _NEXT_TO_NOTHING)),
         )  # fmt: skip
 
     def where_inputs_show(self, none: _AfterDelay) -> int | None:
@@ -74,24 +71,22 @@ class _Delays:
         delays = range(0, self.most + 1 if lasting else 1, max(1, none.past // 2))
         return next((delay for delay in delays if (after := self.after(delay)) and after.shown), None)
 
-    def descent(self, begin: int) -> list[_AfterDelay]:
-        """Predictors after a delay and those that follow, until they foretell less, or spare no states."""
-        tried = list[_AfterDelay]()
-        while begin + len(tried) <= self.most and (after := self.after(begin + len(tried))) is not None:
-            tried.append(after)
-            first, least = tried[0], min(each.cost for each in tried)
-            patience = _WORSE[bool(begin) or first.cost - least > _SPARED * first.state]
-            worse = min(each.cost for each in tried[-patience:]) > least
-            if worse or (len(tried) > _FEW and first.cost - least < _SPARED * (len(tried) - 1) * first.state):
-                break
-        return tried
+    def likeliest(self, begin: int, patience: int) -> tuple[int, _AfterDelay]:
+        """Return the delay of the smallest BIC about one to begin with, from where so many are no likelier."""
+        known = [(after.cost, begin, after)] if (after := self.after(begin)) else []
+        for step in (1, -1):
+            samples, missed = min(known)[1], 0
+            while missed < patience and (after := self.after(samples := samples + step)):
+                missed = missed + 1 if after.cost >= min(known)[0] else 0
+                known.append((after.cost, samples, after))
+        return min(known)[1:]
 
 
 def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> tuple[int, float]:
     """Return by how many samples outputs come later than the response to inputs, so that predictors foretell most.
 
-    Each sample of a delay spares a state for each input.  None come before: in a closed loop inputs answer to outputs.
-    Unless inputs are `felt` at once, a first sample of a response that is fed through is one of the response.
+    For so many samples inputs foretell nothing, and each of them spares a state for each input.  None come before: in a
+    closed loop inputs answer to outputs.
 
     Parameters
     ----------
@@ -100,7 +95,7 @@ def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> 
     outputs : int
         Number of outputs.
     felt : bool
-        Whether some outputs answer to inputs at once.
+        Whether some outputs answer to inputs at once; others follow them by a sample.
 
     Returns
     -------
@@ -111,15 +106,14 @@ def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> 
     delays = _Delays(records, outputs, min(min((rows.length for rows in records), default=0) // _SHARE, _LONGEST))
     none = delays.after(0)
     begin = None if none is None else delays.where_inputs_show(none)
-    if none is None or begin is None:
+    first = None if begin is None else delays.after(begin)
+    if none is None or begin is None or first is None:
         return 0, 0.0
-    tried = delays.descent(begin)
-    likely = min(range(len(tried)), key=lambda place: tried[place].cost)
-    spared, gain = likely - bool(tried[likely].fed and not felt), none.cost - tried[likely].cost
-    if begin + spared <= 0 or gain <= _SPARED * spared * none.state:
-        return 0, 0.0
-    # states of a short past may hide the last samples
-    last = likely
-    while last + 1 < len(tried) and tried[last + 1].loss < tried[last].loss + none.input:
-        last += 1
-    return begin + last - bool(tried[last].fed and not felt), 0.5 * gain
+    at_once = int(not felt)
+    jump = max(0, first.nearly_idle - at_once) if first.nearly_idle <= first.past else 0
+    samples, best = delays.likeliest(min(begin + jump, delays.most), _PATIENCE[begin > 0])
+    # states of a short past may hide the last samples; one that is fed through belongs to the response
+    more = best.idle - at_once
+    gain, spared = none.cost - best.cost, samples - begin + min(more, 0)
+    samples = min(max(samples + more, 0), delays.most)
+    return (samples, 0.5 * gain) if samples and gain > _SPARED * spared * none.state else (0, 0.0)

@@ -162,6 +162,23 @@ class PredictorStates:
         charge = p * self.inputs * float(np.log(samples * p)) + 2 * TUNING.sure
         return samples * (determinants[0] - determinants[1]) > charge
 
+    def idle_inputs(self, samples: int, share: float = 0.0) -> int:
+        """Return for how many samples, the present one first, inputs foretell nothing, in so many samples.
+
+        Given all past outputs and all earlier inputs: no more than chance, or than a share of what all inputs do.
+        """
+        S, p, q = self._covariance, self.outputs, self.signals
+        lags = q * np.arange(self.horizon, -1, -1)[:, None]
+        past, inputs = (lags[:-1] + np.arange(p)).ravel(), (lags + np.arange(p, q)).ravel()
+        order = np.concatenate([past, inputs, np.arange(p)])
+        rows = np.linalg.cholesky(S[np.ix_(order, order)])[-p:]
+        by_inputs = rows[:, len(past) : -p].reshape(p, -1, q - p).transpose(1, 0, 2)[::-1]
+        errors = rows[:, -p:] @ rows[:, -p:].T + np.cumsum(by_inputs @ by_inputs.transpose(0, 2, 1), axis=0)
+        losses = samples * np.linalg.slogdet(errors)[1]
+        lost = losses - samples * float(np.linalg.slogdet(rows[:, -p:] @ rows[:, -p:].T)[1])
+        chance = p * self.inputs * float(np.log(samples * p)) * np.arange(1, len(lost) + 1)
+        return int(np.argmax(np.append(lost > np.maximum(chance, share * lost[-1]), True)))
+
     def _regressed(self, combinations: Array, of: Array) -> Array:
         """Coefficients of some combinations of signals in `combinations` of others."""
         S = self._covariance
