@@ -81,9 +81,10 @@ def feel_at_once(path: FreePath) -> bool:
 
 
 def of_predicted_delay(channels: Experiments, search: Search, late: Lateness, gain: float) -> FreeFit | None:
-    """Fit outputs as late as predictors show, which gains so much log-likelihood; None if none or traces are left.
+    """Fit outputs as late as predictors show, which gains so much log-likelihood; None if they show none.
 
-    A search without that delay takes modes for it.  Of exact data all delays explain all.
+    A search without that delay takes modes for it, and is only made where traces are left: the likelier of both then.
+    Of exact data all delays explain all.
     """
     if not gain:
         return None
@@ -97,7 +98,13 @@ def of_predicted_delay(channels: Experiments, search: Search, late: Lateness, ga
             fit = on_time(fit, search.anew(fit))
         except KeyboardInterrupt:
             return replace(fit, interrupted=True)
-    return None if fit.rounding or leaves_traces(fit.projection) else replace(fit, delay_gain=gain)
+    if fit.rounding:
+        return None
+    if leaves_traces(fit.projection):
+        without, latest = search.along(search.path(channels), channels), float(fit.delay.max())
+        if without.interrupted or bic_within(without, 0.0, latest) <= bic_within(fit, 0.0, latest):
+            return without
+    return replace(fit, delay_gain=gain)
 
 
 def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
