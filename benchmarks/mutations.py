@@ -140,8 +140,8 @@ FAULTS = (
     fault(f"{ID}/structure/hypothesis_tests.py", "\nLEVEL = 0.05", "\nLEVEL = 0.95", "pem_structures", "damped_model"),
     fault(
         f"{ID}/structure/delayed.py",
-        "if self.cost(way) < least:",
-        "if self.cost(way) > least:",
+        "most = min(none.sum()",
+        "most = max(none.sum()",
         "delays",
     ),
     fault(f"{ID}/uncertainty/kalman.py", "spread = C @ P @ C.T + R", "spread = C @ P @ C.T - R", "predictor"),

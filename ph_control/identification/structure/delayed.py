@@ -7,7 +7,7 @@ without either. What the delay buys is the structure, which has fewer unknowns.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import argrelmin
@@ -17,7 +17,6 @@ from ..._types import Array, ComplexArray, Indices, Mask
 from ..._units import DERIVATIVES
 from ..regression.free import Delays, FreeProjection, FreeRows
 from ..regression.sections import PoleRegion
-from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from .constrained import Approach, StructuredFit
 from .layout import ChannelLayout
@@ -29,8 +28,6 @@ _STARTS = 2  # common delays that are tried
 _MARGIN = 1.5  # samples by which a search may go beyond where it began
 _BROAD = 0.2  # damping ratio from which on modes may stand for a delay
 _ITERATIONS = 12  # of the most promising start
-_LIKELIER = 1.0  # by which the BIC falls where a delay on another side of the corner at a whole sample is taken
-_ROUNDING = 1e4 * EPS  # of outputs, below which nothing is told by what is left of them
 _FAR = 10.0  # times what free residues leave: from there no way leads to what they leave
 
 
@@ -95,14 +92,11 @@ def with_delays(
     poles = [projection.p] + [projection.p[light]] * bool(light.any() and not light.all() and not settled)
     masks = through if projection.has_feedthrough else [None]
     descents = _Descents(projection, layout, hypothesis, region, poles, masks)
-    bounds = [_bounded(delays, region) for delays in starts]
-    beginnings = [each for delays in bounds for each in descents.begun(delays, delays)]
+    beginnings = [each for delays in starts for each in descents.begun(_bounded(delays, region))]
     if not beginnings:
         return None
     _, beginning, mask = min(beginnings, key=lambda each: each[0])
     approach = beginning.at_most(_ITERATIONS)
-    if settled and np.ptp(now) == 0:
-        approach, mask = descents.on_either_side(approach, mask, bounds[0])
     known = approach.fit
     far = known.loss / known.projection.rows > _FAR * projection.loss / projection.rows
     if far and not (settled or known.converged):
@@ -122,39 +116,16 @@ class _Descents:
     poles: Sequence[ComplexArray]
     masks: Sequence[Mask | None]
 
-    def begun(self, bounded: Delays, wider: Delays) -> Iterator[tuple[float, Approach, Mask | None]]:
-        """Yield what descents in the samples of wider bounds promise, where they begin, and what is fed through."""
-        rows: Sequence[FreeRows] = wider.rows(self.projection.experiments)  # type: ignore[type-var]
-        delayed: Sequence[FreeRows] = bounded.rows(rows)  # type: ignore[type-var]
+    def begun(self, delays: Delays) -> Iterator[tuple[float, Approach, Mask | None]]:
+        """Yield what descents promise, as a BIC for each row of the data, where they begin, and what is fed through."""
+        rows: Sequence[FreeRows] = delays.rows(self.projection.experiments)  # type: ignore[type-var]
         for p in self.poles:
             for mask in self.masks:
-                start = FreeProjection(delayed, p, mask)
+                start = FreeProjection(rows, p, mask)
                 region = self.region.about(start.sections)
-                beginning = Approach.towards(start, self.layout, self.hypothesis, region, bounded)
-                yield self.cost(beginning) + np.log(max(beginning.share_ahead, EPS)), beginning, mask
-
-    def cost(self, approach: Approach) -> float:
-        """Return the BIC of where a descent has come to, for each row of the data."""
-        return cost_of(approach.fit, self.layout.scales)
-
-    def on_either_side(self, approach: Approach, mask: Mask | None, whole: Delays) -> tuple[Approach, Mask | None]:
-        """Return the likeliest of a fit with a delay of all outputs, and those within the samples on either side.
-
-        At whole samples the likelihood has a corner, where a descent stops.  Of exact data it tells rounding.
-        """
-        rows = self.projection.experiments
-        power = sum(float(np.sum(record.measured**2)) for record in rows if isinstance(record, FreeRecord))
-        if approach.fit.loss <= _ROUNDING**2 * power:
-            return approach, mask
-        least, step = self.cost(approach) - _LIKELIER / self.projection.rows, np.pi / self.region.ceiling
-        for side in (-1, 1):
-            ends = sorted((whole.values[0], whole.values[0] + side * step))
-            within = replace(whole, values=np.array([sum(ends) / 2]), least=ends[0], most=ends[1])
-            for promised, beginning, through in self.begun(within, whole):
-                way = beginning.at_most(_ITERATIONS) if promised < least else approach
-                if self.cost(way) < least:
-                    approach, mask, least = way, through, self.cost(way)
-        return approach, mask
+                beginning = Approach.towards(start, self.layout, self.hypothesis, region, delays)
+                cost = cost_of(beginning.fit, self.layout.scales)
+                yield cost + np.log(max(beginning.share_ahead, EPS)), beginning, mask
 
 
 def delays_of(projection: FreeProjection) -> Array:
