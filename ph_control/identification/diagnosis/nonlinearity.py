@@ -84,8 +84,8 @@ def _apart(halves: Sequence[_Known], fit: FreeFit) -> list[Finding]:
     n, findings = len(first), list[Finding]()
     for l in np.flatnonzero(np.logical_and(*(shown for *_, shown in halves))).tolist():
         both = np.ix_([l, n + l], [l, n + l])
-        rates = [np.sqrt(max(spread[n + l, n + l], 0.0)) / abs(poles[l].real) for poles, spread, _ in halves]
-        if max(rates) >= _KNOWN:
+        errors = [(np.sqrt(max(spread[n + l, n + l], 0.0)), abs(poles[l].real)) for poles, spread, _ in halves]
+        if any(error >= _KNOWN * rate for error, rate in errors):
             continue
         apart = np.array([(first - second)[l].imag, (first - second)[l].real])
         statistic = float(apart @ np.linalg.pinv((first_spread + second_spread)[both], hermitian=True) @ apart)

@@ -19,7 +19,7 @@ def chosen(path: FreePath, start: ComplexArray, most: int, automatic: bool) -> F
     if path.innovations:
         return _joint(path, start, most, automatic)
     model = _in_rows(path, start, most, automatic)
-    # coloured noise would take over what a plant lacks that has too few poles, when their number is given; beside
+    # coloured noise would take over what a plant lacks that has too few modes, when their number is given; beside
     # modes with a peak it would take over the weak ones, though broad noise is no mode with a peak in any case
     peaks = bool(np.any((model.p.imag > 0) & ~are_broad(model.p)))
     if peaks or not ((automatic or not most) and _coloured(path, model)):

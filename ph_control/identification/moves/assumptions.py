@@ -126,6 +126,13 @@ class Search:
         real = self.assumptions.real_poles
         return Orders(0 if self.automatic else self.most, self.most, real if isinstance(real, int) else None)
 
+    @property
+    def largest(self) -> int | None:
+        """Most modes that real poles may become: beside given real poles the given ones."""
+        if self.automatic:
+            return self.assumptions.max_order
+        return None if self.assumptions.real_poles in ("auto", 0) else self.most
+
     def path(
         self,
         channels: Experiments,
@@ -142,14 +149,12 @@ class Search:
                 none[1] if given.input_delay is None else given.input_delay,
             )
         terms = int(bool(given.offset)) if terms is None else terms
-        # real poles of a given number become no modes beyond the given ones
-        largest = given.max_order if self.automatic else self.most if given.real_poles not in ("auto", 0) else None
         return FreePath.of(
             channels,
             RowOptions(given.quantities, hold or given.intersample, terms, given.moving, given.method, late),
             SearchOptions(
                 given.criterion, given.reports, given.real_poles, given.drifting and terms == 1, given.white,
-                largest,
+                self.largest,
             ),
         )  # fmt: skip
 

@@ -102,7 +102,9 @@ def of_predicted_delay(channels: Experiments, search: Search, late: Lateness, ga
         return None
     if leaves_traces(fit.projection):
         without, latest = search.along(search.path(channels), channels), float(fit.delay.max())
-        if without.interrupted or bic_within(without, 0.0, latest) <= bic_within(fit, 0.0, latest):
+        if without.interrupted:
+            return replace(fit, delay_gain=gain, interrupted=True)
+        if bic_within(without, 0.0, latest) <= bic_within(fit, 0.0, latest):
             return without
     return replace(fit, delay_gain=gain)
 

@@ -109,11 +109,11 @@ def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> 
     first = None if begin is None else delays.after(begin)
     if none is None or begin is None or first is None:
         return 0, 0.0
-    at_once = int(not felt)
-    jump = max(0, first.nearly_idle - at_once) if first.nearly_idle <= first.past else 0
+    hold = int(not felt)  # samples by which outputs follow inputs without a delay
+    jump = max(0, first.nearly_idle - hold) if first.nearly_idle <= first.past else 0
     samples, best = delays.likeliest(min(begin + jump, delays.most), _PATIENCE[begin > 0])
     # states of a short past may hide the last samples; one that is fed through belongs to the response
-    more = best.idle - at_once
+    more = best.idle - hold
     gain, spared = none.cost - best.cost, samples - begin + min(more, 0)
     samples = min(max(samples + more, 0), delays.most)
     return (samples, 0.5 * gain) if samples and gain > _SPARED * spared * none.state else (0, 0.0)

@@ -6,8 +6,9 @@ without either. What the delay buys is the structure, which has fewer unknowns.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.signal import argrelmin
@@ -91,8 +92,11 @@ def with_delays(
     light = np.abs(projection.p.real) < _BROAD * np.abs(projection.p)
     poles = [projection.p] + [projection.p[light]] * bool(light.any() and not light.all() and not settled)
     masks = through if projection.has_feedthrough else [None]
-    descents = _Descents(projection, layout, hypothesis, region, poles, masks)
-    beginnings = [each for delays in starts for each in descents.begun(_bounded(delays, region))]
+    ways = list(product(poles, masks))
+    beginnings = [
+        each for delays in starts
+        for each in _begun(projection, layout, hypothesis, region, ways, _bounded(delays, region))
+    ]  # fmt: skip
     if not beginnings:
         return None
     _, beginning, mask = min(beginnings, key=lambda each: each[0])
@@ -105,27 +109,16 @@ def with_delays(
     return DelayedStructure(fit, FreeProjection(fit.projection.experiments, fit.p, mask))
 
 
-@dataclass(frozen=True)
-class _Descents:
-    """Descents to a structure with delays, from some poles of a free fit, with what may be fed through."""
-
-    projection: FreeProjection
-    layout: ChannelLayout
-    hypothesis: str
-    region: PoleRegion
-    poles: Sequence[ComplexArray]
-    masks: Sequence[Mask | None]
-
-    def begun(self, delays: Delays) -> Iterator[tuple[float, Approach, Mask | None]]:
-        """Yield what descents promise, as a BIC for each row of the data, where they begin, and what is fed through."""
-        rows: Sequence[FreeRows] = delays.rows(self.projection.experiments)  # type: ignore[type-var]
-        for p in self.poles:
-            for mask in self.masks:
-                start = FreeProjection(rows, p, mask)
-                region = self.region.about(start.sections)
-                beginning = Approach.towards(start, self.layout, self.hypothesis, region, delays)
-                cost = cost_of(beginning.fit, self.layout.scales)
-                yield cost + np.log(max(beginning.share_ahead, EPS)), beginning, mask
+def _begun(
+    projection: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion,
+    starts: Iterable[tuple[ComplexArray, Mask | None]], delays: Delays,
+) -> Iterator[tuple[float, Approach, Mask | None]]:  # fmt: skip
+    """Yield what descents promise, as a BIC for each row of the data, where they begin, and what is fed through."""
+    rows: Sequence[FreeRows] = delays.rows(projection.experiments)  # type: ignore[type-var]
+    for p, mask in starts:
+        start = FreeProjection(rows, p, mask)
+        beginning = Approach.towards(start, layout, hypothesis, region.about(start.sections), delays)
+        yield cost_of(beginning.fit, layout.scales) + np.log(max(beginning.share_ahead, EPS)), beginning, mask
 
 
 def delays_of(projection: FreeProjection) -> Array:

@@ -66,9 +66,4 @@ def _is_rather_held_as(
     preferred = free.criteria.bic - rival.criteria.bic
     if abs(preferred) > _SAME:
         return preferred > 0
-    return _classical_cost(free, free_tests) - _classical_cost(rival, tests) > 2 * TUNING.sure
-
-
-def _classical_cost(free: FreeFit, tests: tuple[HypothesisTest, ...]) -> float:
-    """Criterion of the classical model of a fit, short of its unknowns; that of the fit itself where it has none."""
-    return free.criteria.bic + sum(test.likelihood_ratio for test in tests if test.hypothesis == "classical")
+    return _bic_of("classical", free, free_tests) - _bic_of("classical", rival, tests) > 2 * TUNING.sure
