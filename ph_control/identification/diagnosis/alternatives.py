@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..._types import Array
+from ..._types import Array, ComplexArray
 from ..data.channels import Channels, Recording
 from ..regression.tuning import TUNING
 from ..search.findings import Cause, Finding
@@ -48,9 +48,12 @@ class Searched:
 
 
 Search = Callable[[Channels], Searched]
+Refine = Callable[[Channels, Searched, ComplexArray], Searched]
 
 
-def beside_disturbances(alone: Searched, search: Search, automatic: bool, certain: bool = False) -> Searched:
+def beside_disturbances(
+    alone: Searched, search: Search, refine: Refine, automatic: bool, certain: bool = False
+) -> Searched:
     """Search beside each disturbance in turn, as long as the criterion agrees; what was last where interrupted.
 
     Parameters
@@ -59,6 +62,8 @@ def beside_disturbances(alone: Searched, search: Search, automatic: bool, certai
         A search in the channels as they were measured.
     search : callable
         Makes such a search in other channels.
+    refine : callable
+        Fits some poles to other channels, under the circumstances of a fit.
     automatic : bool
         Whether the number of modes is left to the data.
     certain : bool
@@ -66,7 +71,7 @@ def beside_disturbances(alone: Searched, search: Search, automatic: bool, certai
     """
     latest = alone
     try:
-        latest = _beside_hum(latest, search, automatic)
+        latest = _beside_hum(latest, search, refine, automatic)
         latest = _beside_unequal_noise(latest, search)
         beside = latest.free.beside
         if beside is not None and (certain or beside.is_coloured):
@@ -96,15 +101,22 @@ def _settled(
     return latest
 
 
-def _beside_hum(latest: Searched, search: Search, automatic: bool) -> Searched:
+def _beside_hum(latest: Searched, search: Search, refine: Refine, automatic: bool) -> Searched:
     """The fit beside tones in place of modes that neither decay nor are driven, where the criterion agrees.
 
     So it is with lines of the residuals; where the number of modes is not `automatic`, and some may be missing, with
-    lines that have much of their power, if what is left beside them is white.
+    lines that have much of their power, if what is left beside them is white.  Once the modes that there are agree,
+    others are looked for, which tones may have hidden.
     """
+
+    def gain(again: Searched, taken: Tones) -> float:
+        """Return the log-likelihood that a fit beside tones gains."""
+        return 0.5 * (latest.bic - again.bic - latest.charge(taken.unknowns))
+
     for _ in range(_MOST_TONES):
         free = latest.free
-        more = free.projection.p.imag[undriven(free)]
+        still = undriven(free)
+        more, driven = free.projection.p.imag[still], np.delete(free.projection.p, still)
         doubted = not (automatic or len(more))
         more = more if len(more) else lines_in(free, _MUCH if doubted else 0.0)
         if not len(more):
@@ -112,16 +124,20 @@ def _beside_hum(latest: Searched, search: Search, automatic: bool) -> Searched:
         hums = Tones.of(latest.findings, latest.channels)
         tones = tones_in(free, np.append(hums.frequencies, more))
         for _ in range(_ROUNDS):
-            again = search(tones.taken_from(latest.channels))
+            again = refine(tones.taken_from(latest.channels), latest, driven)
             if again.free.interrupted:
                 return latest.cut
             taken, tones = tones, tones_in(again.free, tones.frequencies)
             if tones.is_near(taken):
                 break
-        gain = 0.5 * (latest.bic - again.bic - latest.charge(taken.unknowns))
-        if gain <= 0 or (doubted and not _leaves_white_noise(again.free)):
+        if gain(again, taken) <= 0:
             break
-        latest = replace(again, findings=tuple(taken.findings(gain)))
+        again = search(again.channels)
+        if again.free.interrupted:
+            return latest.cut
+        if gain(again, taken) <= 0 or (doubted and not _leaves_white_noise(again.free)):
+            break
+        latest = replace(again, findings=tuple(taken.findings(gain(again, taken))))
     return latest
 
 

@@ -20,7 +20,7 @@ from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from .unequal_noise import experiments_of
 
-_STILL = 3.0  # standard errors, or one over the record, that a decay rate of a tone may have
+_STILL = 3.0  # over the length of a record: the decay rate that a tone may seem to have
 _LARGEST = 1 << 24  # samples of all outputs beyond which nothing is said of tones
 _LINE = 1e-6  # probability that noise alone shows a line anywhere
 _BESIDE = 16  # bins on either side, whose level a line stands out of
@@ -95,10 +95,7 @@ def undriven(fit: FreeFit) -> Indices:
     if _unfit(fit):
         return np.zeros(0, int)
     covariance, width = fit.covariance, projection.shared.shape[0]
-    still = np.maximum(
-        _STILL * np.sqrt(np.maximum(np.diag(covariance)[n : 2 * n], 0.0)),
-        1.0 / max(record.length * record.hold.h for record in rows),
-    )
+    still = _STILL / max(record.length * record.hold.h for record in rows)
     slowest, tones = TUNING.broad_noise * max(record.bin for record in rows), []
     bins, seen_by = max(record.length for record in rows) // 2, sum(len(record.outputs) for record in rows)
     faint = float(chi2.isf(_LINE / bins, 2 * seen_by)) * projection.loss / projection.rows

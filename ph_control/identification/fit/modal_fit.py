@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from ..diagnosis.alternatives import Searched, beside_disturbances
 from ..diagnosis.coloured_noise import beside_coloured_noise
 from ..diagnosis.verdict import WHITE
 from ..innovations.forces import KINDS, beside_forces
-from ..moves.free_fit import free_fit
+from ..moves.free_fit import free_fit, free_refinement
 from ..regression.free import FreeProjection, Lateness, refine_free
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import is_short
@@ -60,22 +61,29 @@ def _of_modes_and_inputs(
     findings: tuple[Finding, ...], order: int | str,
 ) -> PEMResult:  # fmt: skip
     """Search for poles with free residues, beside all that disturbs them; then choose the structure, and judge it."""
+    assumptions: dict[str, Any] = {
+        "quantities": request.quantities, "intersample": options.intersample, "offset": options.offset,
+        "max_order": options.max_order, "criterion": options.criterion, "weighted": options.weighted,
+        "real_poles": options.real_poles, "method": options.method, "delay": options.delay,
+        "input_delay": options.input_delay, "white": options.noise in ("white", *KINDS),
+        "beside": partial(_in_noise_of, options.noise, request.structure),
+        "reports": reporter(options.largest, options.callback),
+    }  # fmt: skip
 
     def search_in(channels: Channels) -> Callable[..., FreeFit]:
-        return partial(
-            free_fit, channels, quantities=request.quantities, intersample=options.intersample, offset=options.offset,
-            max_order=options.max_order, criterion=options.criterion, weighted=options.weighted,
-            real_poles=options.real_poles, method=options.method, delay=options.delay, input_delay=options.input_delay,
-            white=options.noise in ("white", *KINDS), beside=partial(_in_noise_of, options.noise, request.structure),
-            reports=reporter(options.largest, options.callback),
-        )  # fmt: skip
+        return partial(free_fit, channels, **assumptions)
 
     resting = options.moving and all(isinstance(data, Recording) and data.begins_at_rest for data in channels)
 
     def searched(channels: Channels) -> Searched:
         return Searched(channels, *_beside_motion(search_in(channels), order, start, options.moving, resting))
 
-    latest = beside_disturbances(searched(channels), searched, isinstance(order, str), options.noise in KINDS)
+    def refined(channels: Channels, like: Searched, p: ComplexArray) -> Searched:
+        free = free_refinement(channels, like.free, p, **{**assumptions, "moving": like.moving})
+        return Searched(channels, free, like.moving)
+
+    automatic, certain = isinstance(order, str), options.noise in KINDS
+    latest = beside_disturbances(searched(channels), searched, refined, automatic, certain)
     search, moving = search_in(latest.channels), latest.moving
     free = replace(
         latest.free, findings=(*latest.findings, *latest.free.findings, *_about_order(latest.free, order, options))

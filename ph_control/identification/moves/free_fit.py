@@ -19,7 +19,7 @@ from ..growth.held_out import foretelling_order
 from ..regression.tuning import TUNING
 from ..search.channel_rows import Experiments
 from ..search.criteria import Orders
-from ..search.fitted_modes import FreeFit
+from ..search.fitted_modes import FreeFit, count_modes, count_real_poles
 from ..search.path import FreePath
 from .assumptions import Assumptions, Search, alone
 from .delays import are_heavy, may_be_late, of_late_lag, of_predicted_delay, on_time, predicted_lateness
@@ -62,6 +62,37 @@ def free_fit(
         If an entry of the response matrices was measured in none of them.
     """
     return _fitted(channels, order, Assumptions(**assumptions), start)
+
+
+def free_refinement(channels: Experiments, like: FreeFit, p: ComplexArray, **assumptions: Any) -> FreeFit:
+    """Fit poles and residues to other channels from some poles, in the noise, delays and hold of a fit to the like.
+
+    Parameters
+    ----------
+    channels : sequence of Recording
+        Experiments of the same inputs and outputs.
+    like : FreeFit
+        The fit whose circumstances are kept.
+    p : ndarray of complex, shape (n,)
+        Poles to start from, of imaginary part zero or positive; their number is kept.
+    **assumptions
+        Attributes of `Assumptions` that are not the default.
+
+    Returns
+    -------
+    FreeFit
+        The minimum about these poles.
+    """
+    given = replace(Assumptions(**assumptions), real_poles=count_real_poles(p))
+    if is_long(channels):
+        given = replace(given, delay=like.delay, input_delay=like.input_delay, intersample=like.intersample)
+        return _fitted(channels, count_modes(p), given, p)
+    search = Search(given, p, count_modes(p), False)
+    try:
+        fit = search.anew(replace(like, channels=tuple(channels)))(like.lateness, like.offset, p)
+    except KeyboardInterrupt:
+        return replace(like, interrupted=True)
+    return fit if like.beside is None else given.beside(fit, orders=Orders())
 
 
 def _fitted(channels: Experiments, order: int | str, assumptions: Assumptions, start: ComplexArray | None) -> FreeFit:
