@@ -73,6 +73,8 @@ class Assumptions:
         another kind, and once more where white noise shows drifts or delays.
     white : bool
         Whether the noise of each output is taken as white.
+    growing : bool
+        Whether poles may grow.
     """
 
     quantities: Sequence[str] | None = None
@@ -90,6 +92,7 @@ class Assumptions:
     doubted: bool = True
     beside: Callable[..., FreeFit] = alone
     white: bool = False
+    growing: bool = True
 
     @property
     def drifting(self) -> bool:
@@ -154,7 +157,7 @@ class Search:
             RowOptions(given.quantities, hold or given.intersample, terms, given.moving, given.method, late),
             SearchOptions(
                 given.criterion, given.reports, given.real_poles, given.drifting and terms == 1, given.white,
-                self.largest,
+                self.largest, given.growing,
             ),
         )  # fmt: skip
 

@@ -21,6 +21,7 @@ from ..search.channel_rows import Experiments
 from ..search.criteria import Orders
 from ..search.fitted_modes import FreeFit, count_modes, count_real_poles
 from ..search.path import FreePath
+from ..uncertainty.residual_tests import is_white
 from .assumptions import Assumptions, Search, alone
 from .delays import are_heavy, may_be_late, of_late_lag, of_predicted_delay, on_time, predicted_lateness
 from .drifts import beside_drift, with_constants
@@ -61,7 +62,31 @@ def free_fit(
     StructureError
         If an entry of the response matrices was measured in none of them.
     """
-    return _fitted(channels, order, Assumptions(**assumptions), start)
+    given = Assumptions(**assumptions)
+    fit = _fitted(channels, order, given, start)
+    return fit if start is not None or fit.interrupted or not _may_grow_by_mistake(fit) else _or_of_decaying_poles(
+        fit, channels, order, given
+    )
+
+
+def _may_grow_by_mistake(fit: FreeFit) -> bool:
+    """Return whether a pole grows in what leaves more than white noise, which it may stand for part of."""
+    limit = TUNING.slowest_growth * fit.region.bin
+    if not np.any(fit.projection.p.real > limit):
+        return False
+    return not (is_white(fit.projection) if fit.beside is None else fit.beside.whiteness >= TUNING.white)
+
+
+def _or_of_decaying_poles(fit: FreeFit, channels: Experiments, order: int | str, given: Assumptions) -> FreeFit:
+    """Return the fit, or that whose poles may not grow, where that is likelier."""
+    try:
+        steady = _fitted(channels, order, replace(given, growing=False), None)
+    except KeyboardInterrupt:
+        return replace(fit, interrupted=True)
+    if steady.interrupted:
+        return replace(fit, interrupted=True)
+    share = fit.projection.rows / steady.projection.rows
+    return steady if steady.criteria.bic * share < fit.criteria.bic else fit
 
 
 def free_refinement(channels: Experiments, like: FreeFit, p: ComplexArray, **assumptions: Any) -> FreeFit:

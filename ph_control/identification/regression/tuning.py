@@ -47,6 +47,7 @@ class Tuning:
 
     # --- damped modes
     fastest_growth: float = 2.0  # a factor of 3e5 over a record, which leaves ten digits
+    slowest_growth: float = 0.16  # a factor of e over a record, as errors of poles that do not decay may have
     decay_rates: tuple[float, ...] = (0.03, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # tried where nothing is known
     widths_of_peaks: tuple[int, ...] = (6, 24, 96, 384)  # half-widths of the windows in which one mode is looked for
     narrowest: float = 0.02  # half-width of a peak

@@ -18,6 +18,7 @@ from ..regression.free import FreeProjection, Lateness, refine_free
 from ..regression.frequency_rows import FreeResponse
 from ..regression.sections import PoleRegion, Sections
 from ..regression.time_rows import FreeRecord
+from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Progress
 from ..uncertainty.residual_tests import all_white
 from .channel_rows import Experiments, RowOptions, records_of, refuse_unmeasured, responses_of
@@ -52,6 +53,8 @@ class SearchOptions:
         Whether the noise of each output is taken as white.
     largest : int or None
         Number of modes that pairs of real poles must not turn into more than.
+    growing : bool
+        Whether poles may grow.
     """
 
     criterion: str = "bic"
@@ -60,6 +63,7 @@ class SearchOptions:
     constant_open: bool = False
     white: bool = False
     largest: int | None = None
+    growing: bool = True
 
 
 _DEFAULT = SearchOptions()
@@ -284,6 +288,7 @@ class FreePath:
     def region(self, p: ComplexArray) -> PoleRegion:
         """Say where poles may go from a start: pairs of real ones become no modes beyond the largest number."""
         region = self.scaled.region
+        region = region if self.options.growing else replace(region, growth=min(region.growth, TUNING.slowest_growth))
         most = count_modes(p) + count_real_poles(p) // 2
         return (
             region
