@@ -48,6 +48,7 @@ _FAR = 0.1  # logarithm of the ratio of variances for each output, by which nois
 _LONGEST_PAST = 64  # samples that noise of an output may depend on
 _ROUGH, _FEW = 1.0, 12  # tolerance and steps of a minimisation on the way
 _ROWS = 300  # of a covariance of the past of outputs and inputs
+_HALVINGS = 6  # of gains until a predictor forgets
 _CLOSE = 3  # models that are refined before the criterion chooses
 
 
@@ -162,8 +163,10 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
     if best is None or not np.isfinite(best.evaluation.cost):
         return free
     likelier, filters = (False, ()) if certain else _own_noise(best.evaluation, white)
-    fitted = free if likelier else _in_noise(free, best, alone, certain)
-    return replace(fitted, own_noise=filters)
+    # where the number of modes is open, those that are found beside forces may still be the likeliest
+    candidate = orders.are_open and best.evaluation.problem.coloured
+    fitted = free if likelier and not candidate else _in_noise(free, best, alone, certain)
+    return replace(fitted, own_noise=filters, own_likelier=likelier)
 
 
 def _in_shared_noise(
@@ -197,14 +200,30 @@ def _forced(start: Start | None, foretold: _Predictors) -> Minimum | None:
     In white noise modes more than there are stand for what forces do, and weak ones are hidden by it: so the search
     begins with the poles of predictors as well.  None where there is nothing to begin with.
     """
-    starts = [*([] if start is None else [start]), *foretold.starts]
-    starts = sorted(starts, key=lambda begin: _bic(begin[0].evaluated(begin[1])))[:_CLOSE]
+    starts = [*([] if start is None else [_damped(foretold, start)]), *foretold.starts]
     ends = [_followed(*begin, _ROUGH, _FEW) for begin in starts]
     if not ends:
         return None
     best = min(ends, key=lambda end: _bic(end.evaluation))
     best = _followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
     return _of_fewer_modes(best) if foretold.orders.are_open else best
+
+
+def _damped(foretold: _Predictors, start: Start) -> Start:
+    """A start whose modes decay within the record: in white noise those that forces move seem to decay more slowly.
+
+    From modes that hardly decay no step of the gains leads to a predictor that forgets.
+    """
+    problem, point = start
+    sections = _decaying(point.noise.sections, foretold.rows[0].bin)
+    return _beside(foretold.free, foretold.rows, sections, None, problem.fed) or start
+
+
+def _decaying(sections: Sections, least: float) -> Sections:
+    """Sections none of which decays more slowly than at a rate."""
+    x, k = sections.x.copy(), len(sections.decay)
+    x[:k], x[2 * k :] = np.maximum(x[:k], least), np.maximum(x[2 * k :], least)
+    return Sections.from_coordinates(x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,10 +392,13 @@ def _without(best: Minimum, section: int) -> Minimum:
     problem = best.evaluation.problem
     rows = [part for experiment in problem.experiments for part in experiment.rows]
     driven = FreeProjection(rows, fewer.sections.p, problem.fed, fewer.sections)
-    return _followed(
-        Problem(problem.experiments, driven.shown, problem.coloured, problem.fed),
-        InnovationsModel(fewer, driven.shared, tuple(driven.own)), steps=_STEPS,
-    )  # fmt: skip
+    problem = Problem(problem.experiments, driven.shown, problem.coloured, problem.fed)
+    begin = InnovationsModel(fewer, driven.shared, tuple(driven.own))
+    for _ in range(_HALVINGS):  # the gains of others need not make a predictor
+        if np.isfinite(problem.evaluated(begin).cost):
+            break
+        begin = replace(begin, noise=fewer.moved(fewer.sections, fewer.C, 0.5 * begin.noise.K))
+    return _followed(problem, begin, steps=_STEPS)
 
 
 def _followed(*begin: Any, **options: Any) -> Minimum:
@@ -406,17 +428,13 @@ def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> Start 
 
     So it is where the data tell modes that hardly decay from those that do: noise through them never settles.
     """
-    known = Sections.of(p).x
-    x, k = known.copy(), len(known) // 2
-    least = _LEAST_DECAY * rows[0].bin
-    x[:k], x[2 * k :] = np.maximum(x[:k], least), np.maximum(x[2 * k :], least)
-    sections = Sections.from_coordinates(x)
+    original, least = Sections.of(p), _LEAST_DECAY * rows[0].bin
+    sections = _decaying(original, least)
     if np.any(-sections.p.real < 0.5 * least):
         return None
     begin = _beside(free, rows, sections, None, free.projection.fed)
-    if begin is not None and np.any(x != known):
-        fed, original = free.projection.fed, Sections.from_coordinates(known)
-        before, after = (FreeProjection(rows, each.p, fed).loss for each in (original, sections))
+    if begin is not None and np.any(sections.x != original.x):
+        before, after = (FreeProjection(rows, each.p, free.projection.fed).loss for each in (original, sections))
         if after > (1 + 2 * TUNING.sure / _samples(rows)) * before:
             return None
     return begin
@@ -492,22 +510,23 @@ def _correlations(covariance: Array) -> Array:
 def _hints_at_forces(foretold: _Predictors, alone: float, white: LikelihoodEvaluation | None) -> bool:
     """Whether one step of the gains, all other numbers moving along, promises some of what the BIC asks for.
 
-    That is not looked at where the residuals about no mode are unlike white noise.  Where poles leave no likelihood,
-    whether a predictor is likelier than the fit in noise of each output `alone`.
+    Where the residuals about no mode are unlike white noise, or poles leave no likelihood, a predictor has to be
+    likelier than the fit in noise of each output `alone`, too.
     """
+    unknowns, samples = foretold.free.unknowns + len(foretold.free.scales), _samples(foretold.rows)
+    predicts = alone + unknowns * float(np.log(samples))
     if white is None:
-        unknowns = foretold.free.unknowns + len(foretold.free.scales)
-        return foretold.bic < alone + unknowns * float(np.log(_samples(foretold.rows)))
+        return foretold.bic < predicts
     problem, noise = white.problem, white.point.noise
     charge = noise.unknowns * float(np.log(problem.samples * white.p))
-    if missing_mode(white, _NOTED * charge / max(1, noise.pairs)) is None:
-        return False
     evaluation = replace_colour(problem, True).evaluated(white.point)
     # what was fitted leaves errors that look like forces: that costs another pass
-    return all(
+    if not all(
         ratio > _HINT * charge and chdtrc(noise.K.size, ratio) < _SCREEN
         for ratio in (_score(evaluation, allowing=allowing) for allowing in (False, True))
-    )
+    ):
+        return False
+    return missing_mode(white, _NOTED * charge / max(1, noise.pairs)) is not None or foretold.bic < predicts
 
 
 def _score(evaluation: LikelihoodEvaluation, *, allowing: bool) -> float:

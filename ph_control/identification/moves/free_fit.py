@@ -64,8 +64,10 @@ def free_fit(
     """
     given = Assumptions(**assumptions)
     fit = _fitted(channels, order, given, start)
-    return fit if start is not None or fit.interrupted or not _may_grow_by_mistake(fit) else _or_of_decaying_poles(
-        fit, channels, order, given
+    return (
+        fit
+        if start is not None or fit.interrupted or not _may_grow_by_mistake(fit)
+        else _or_of_decaying_poles(fit, channels, order, given)
     )
 
 
@@ -144,13 +146,16 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
     """Search for modes, then for the noise and the circumstances in which they are likelier."""
     search, path = _prepared(channels, order, assumptions, start)
     fit, forced, in_noise = _in_white_noise_and_beside(channels, search, path, start)
+    slow: FreeFit | None = None
     if not forced.interrupted:
-        fit, forced = _or_in_own_noise(fit, forced, path, search)
+        fit, forced, slow = _or_in_own_noise(fit, forced, path, search)
     if forced.interrupted:
         return forced
     open_delay = assumptions.delay is None and may_be_late(forced)
     if forced.beside is not None and forced.beside.is_coloured:
         forced = beside_forces_and_more(forced, fit, in_noise, search, may_be_late=open_delay)
+        if slow is not None:
+            return _or_late(forced, slow, search)
         # modes are told from forces, which may stand for lags that come late
         lags = assumptions.delay is None and bool(np.all(are_heavy(forced.projection.p)))
         return _or_late(forced, fit, search) if lags or (open_delay and not search.automatic) else forced
@@ -159,13 +164,13 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
 
 
 def _or_late(forced: FreeFit, fit: FreeFit, search: Search) -> FreeFit:
-    """Return the fit beside forces, or that of as many modes in white noise with a delay, if it is likelier.
+    """Return the fit beside forces, or another with a delay in white noise or that of each output, if it is likelier.
 
     Of a number of poles that is given none can stand for the delay, and forces may.
     """
     if forced.interrupted:
         return forced
-    late = _beside_all_else(fit.with_delay_open(True), search)
+    late = _beside_all_else(fit.with_delay_open(search.assumptions.delay is None), search)
     if late.interrupted:
         return replace(forced, interrupted=True)
     share = forced.projection.rows / late.projection.rows
@@ -217,17 +222,23 @@ def _in_white_noise_and_beside(
     return begun.fit, begun.forced, in_noise
 
 
-def _or_in_own_noise(fit: FreeFit, forced: FreeFit, path: FreePath, search: Search) -> tuple[FreeFit, FreeFit]:
-    """Return both fits in the noise of each output that the errors of the latter show, if that is likelier."""
+def _or_in_own_noise(
+    fit: FreeFit, forced: FreeFit, path: FreePath, search: Search
+) -> tuple[FreeFit, FreeFit, FreeFit | None]:
+    """Return both fits in the noise of each output that the errors of the latter show, if that is likelier.
+
+    Beside them that in such noise, where it may yet be likelier with a delay.
+    """
     if not forced.own_noise:
-        return fit, forced
-    if forced.beside is None:
+        return fit, forced, None
+    if forced.own_likelier:
         if not search.automatic or fit.noise:
-            return fit, forced
+            return fit, forced, None
         slow = _in_slow_noise(fit, forced.own_noise, path, search)
-        return slow, slow
-    likelier = likelier_in_own_noise(forced, search) if forced.beside.is_coloured else None
-    return (fit, forced) if likelier is None else (likelier, likelier)
+        better = slow.interrupted or forced.beside is None or slow.criteria.bic < forced.criteria.bic
+        return (slow, slow, None) if better else (fit, forced, slow)
+    coloured = likelier_in_own_noise(forced, search) if forced.beside and forced.beside.is_coloured else None
+    return (fit, forced, None) if coloured is None else (coloured, coloured, None)
 
 
 def _in_slow_noise(fit: FreeFit, filters: tuple[Array, ...], path: FreePath, search: Search) -> FreeFit:

@@ -69,12 +69,13 @@ def in_prevailing_noise(channels: Experiments, search: Search, late: Lateness) -
     forced = fit if fit.interrupted else given.beside(fit, orders=orders)
     if forced.interrupted:
         return Begun(fit, forced, True)
-    if forced.beside is None and forced.own_noise and search.automatic:
+    if forced.own_likelier and forced.own_noise and search.automatic:
         path.best = None
         path.whiten(forced.own_noise, path.power)
         coloured = search.along(path, channels, p)
         stands = coloured.interrupted or bool(coloured.states and not leaves_traces(coloured.projection))
-        return Begun(coloured, coloured, stands)
+        if coloured.interrupted or forced.beside is None or coloured.criteria.bic < forced.criteria.bic:
+            return Begun(coloured, coloured, stands)
     if forced.beside is None:
         return None
     try:

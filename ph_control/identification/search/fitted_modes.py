@@ -78,6 +78,8 @@ class FreeFit(Frozen):
     own_noise : tuple of ndarray
         Innovations filters of noise of each output where such noise was looked at: it explains more, or, beside the
         latter, may do so once the poles are fitted in it.
+    own_likelier : bool
+        Whether noise of each output is likelier than that which outputs share, with the same poles.
     """
 
     projection: FreeProjection
@@ -101,6 +103,7 @@ class FreeFit(Frozen):
     beside: Any = None
     filters: tuple[Array, ...] = ()
     own_noise: tuple[Array, ...] = ()
+    own_likelier: bool = False
 
     @property
     def per_entry(self) -> bool:
