@@ -290,3 +290,14 @@ def test_what_is_fed_through_stands_out_of_its_error():
     # true values of 0 and of 5 standard errors, whose estimates are 2 and 7 of them
     assert phc.pem((u, y), 0, **options).feedthrough == 0
     np.testing.assert_allclose(phc.pem((u, y + 0.03 * u), 0, **options).feedthrough, 0.03, atol=0.012)
+
+
+@pytest.mark.parametrize(("seed", "colour"), [(0, 0.0), (5, 0.5), (2, 0.9)])
+def test_a_lag_of_negative_gain_is_fitted_with_its_sign(seed, colour):
+    rng, samples = np.random.default_rng(seed), 400
+    u = np.repeat(rng.choice([-1.0, 1.0], samples // 5), 5)
+    clean = -lfilter([0, 0.1], [1, -0.9], u)
+    noise = lfilter([1], [1, -colour], rng.standard_normal(samples))
+    result = phc.pem((u, clean + 0.1 * clean.std() * noise / noise.std()), dt=1.0)
+    assert result.structure == "free" and result.fit_percent > 85
+    np.testing.assert_allclose(ct.dcgain(result.system), -1, rtol=0.05)

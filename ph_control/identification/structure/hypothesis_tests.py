@@ -13,8 +13,10 @@ from ..._checks import EPS
 from ..._options import HYPOTHESES
 from ..data.windowed import share_errors
 from ..diagnosis.verdict import HypothesisTest
+from ..innovations.joint import JointProjection
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.sections import PoleRegion
+from ..regression.time_rows import FreeRecord
 from .constrained import Approach, StructuredFit, constrained, is_crowded, nearest_passive_fit
 from .layout import ChannelLayout
 
@@ -22,7 +24,9 @@ LEVEL = 0.05
 _ITERATIONS = 12  # three are usual
 _BEYOND = 100.0  # times the unknowns: a ratio at the nearest point of the free fit from which no way leads back
 _HOPELESS = 1e-6
+_HELD = 1e-3  # of the variance: squares that a constraint costs which the data push against
 _LEAST = 0.1  # of the squares: what errors in common may take away
+_AS_WELL = 2.0  # times the squared errors of the free fit that a structure may make from the inputs alone
 _SAME_PLANT = 0.5  # of the size of a pole, by which that of a structure may be another
 
 
@@ -146,12 +150,17 @@ def testable(layout: ChannelLayout) -> list[str]:
 
 
 def likelihood_test(projection: FreeProjection, fit: StructuredFit, dof: int) -> HypothesisTest:
-    """A structure against the free model, which has so many unknowns more; the variance is that of the free fit."""
+    """A structure against the free model, which has so many unknowns more; the variance is that of the free fit.
+
+    A structure of as many unknowns, as a lag whose residue is positive, has a constraint that the data may push
+    against: it counts as one.
+    """
     spare = max(1, projection.rows - projection.unknowns)
     least = max(projection.loss, _rounding(projection))
     variance, gain = least / spare, max(0.0, fit.loss - least) / _inflation(projection, fit, dof)
-    if not dof:
+    if not dof and gain <= _HELD * variance:
         return HypothesisTest(fit.hypothesis, 0.0, 0, 1.0)
+    dof = max(dof, 1)
     ratio = (spare + dof) * float(np.log1p(gain / variance / spare))
     return HypothesisTest(fit.hypothesis, ratio, dof, float(fdtrc(dof, spare, gain / variance / dof)))
 
@@ -177,15 +186,25 @@ def _rounding(projection: FreeProjection) -> float:
 def choose(tests: StructureTests, region: PoleRegion, level: float = LEVEL) -> StructuredFit:
     """Return the simplest structure that is not rejected: lossless, classical, passive, free.
 
-    Records that tell little reject little: none of its poles may be those of another plant than the free fit has.  Of a
-    free model, residues have rank one if that is not rejected, since those of simple poles have.
+    Records that tell little reject little: none of its poles may be those of another plant than the free fit has.
+    Beside unmeasured forces, from which the errors that it makes are hardly told, it may not predict far worse from
+    the inputs alone.  Of a free model, residues have rank one if that is not rejected, as those of simple poles have.
     """
     free = tests.fits["free"]
     reach = np.maximum(_SAME_PLANT * np.abs(free.p), region.bin)
+    forced = isinstance(free.projection, JointProjection)
+    most = _AS_WELL * _simulated(free) if forced else np.inf
     for hypothesis, known in HYPOTHESES.items():
         fit = tests.fits.get(hypothesis)
         if fit is None or not (known.chosen and tests.stands(hypothesis, level)):
             continue
-        if np.all(np.any(np.abs(fit.p[:, None] - free.p) <= reach, axis=1)):
+        near = np.all(np.any(np.abs(fit.p[:, None] - free.p) <= reach, axis=1))
+        if near and (not forced or _simulated(fit) <= most):
             return fit
     return free
+
+
+def _simulated(fit: StructuredFit) -> float:
+    """Squares that a fit leaves of records, of what the inputs and the motion at first make of them."""
+    pairs = zip(fit.projection.experiments, fit.projection.predictions(), strict=True)
+    return sum(float(np.sum(rows.residuals(y) ** 2)) for rows, y in pairs if isinstance(rows, FreeRecord))
