@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter
 from scipy.stats import chi2
 from slow import slowly
 
@@ -214,3 +214,83 @@ def test_inputs_that_answer_to_outputs_are_no_traces():
 def test_a_noise_that_is_unknown_is_refused():
     with pytest.raises(phc.StructureError, match="noise is 'wind'; it must be one of 'auto', 'white', 'correlated'"):
         fit_of(record(0, 300), noise="wind")
+
+
+# --- forces as large as the response to the input --------------------------------------------------------------------
+
+
+def shaken(seed, *, modes=2, lags=0, inputs=1, outputs=1):
+    """Inputs, outputs and the part of these that answers to the inputs, of a plant that a coloured force moves too."""
+    rng = np.random.default_rng([seed, 11])
+    share, colour, samples = rng.choice([0.2, 0.5, 1.0]), rng.choice([0, 0.5, 0.9]), int(rng.choice([800, 2000]))
+    w, zeta = np.sort(rng.uniform(0.15, 1.6, modes)), rng.uniform(0.008, 0.05, modes)
+    rates = [rng.uniform(0.02, 0.4) for _ in range(lags)]
+    n = 2 * modes + lags
+    A = np.zeros((n, n))
+    for k, (rate, damping) in enumerate(zip(w, zeta, strict=True)):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[-damping * rate, rate], [-rate, -damping * rate]]
+    for k, rate in enumerate(rates, 2 * modes):
+        A[k, k] = -rate
+    B, C = rng.standard_normal((n, inputs + 1)), rng.standard_normal((outputs, n))
+    held = expm(np.block([[A, B], [np.zeros((inputs + 1, n + inputs + 1))]]))[:n]
+    kind = rng.integers(3)
+    if kind == 0:
+        u = rng.standard_normal((inputs, samples))
+    elif kind == 1:
+        b, a = butter(2, [0.05, 0.5], "band")
+        u = lfilter(b, a, rng.standard_normal((inputs, samples + 300)))[:, 300:]
+    else:
+        u = np.repeat(rng.choice([-1.0, 1.0], (inputs, samples // 5 + 1)), 5, axis=1)[:, :samples]
+    u = u / u.std(axis=1, keepdims=True)
+    force = lfilter([1], [1, -colour], rng.standard_normal((1, samples + 300)))[:, 300:]
+    parts = []
+    for columns, signals in ((held[:, n:-1], u), (held[:, -1:], force)):
+        x, y = np.zeros(n), np.zeros((outputs, samples))
+        for k, values in enumerate(signals.T):
+            y[:, k] = C @ x
+            x = held[:, :n] @ x + columns @ values
+        parts.append(y / y.std(axis=1, keepdims=True))
+    y = parts[0] + share * parts[1] + 0.03 * rng.standard_normal((outputs, samples))
+    half = samples // 2
+    return tuple(each[:, :half].squeeze() for each in (u, y, parts[0]))
+
+
+def missed(result, u, clean):
+    """Size of what a fit predicts wrongly of the response to the input, over that of the response."""
+    predicted = np.reshape(result.predict(u, initial_state="zero", dt=1.0).outputs, clean.shape)
+    return np.linalg.norm(predicted - clean) / np.linalg.norm(clean)
+
+
+@pytest.mark.parametrize(
+    ("seed", "plant", "most"),
+    [(144, {}, 0.2), (121, {}, 0.25), (238, {"modes": 1, "lags": 1, "outputs": 2}, 0.5)],
+)
+def test_forces_are_found_where_white_noise_tells_little_of_the_plant(seed, plant, most):
+    u, y, clean = shaken(seed, **plant)
+    result = phc.pem((u, y), dt=1.0)
+    assert causes(result) >= {"FORCES"}
+    assert result.order == plant.get("modes", 2)
+    assert missed(result, u, clean) < most
+
+
+def test_a_structure_that_is_not_rejected_predicts_as_well_as_free_residues():
+    u, y, clean = shaken(22, inputs=2, outputs=2)
+    result = phc.pem((u, y), dt=1.0)
+    assert missed(result, u, clean) < 0.5
+
+
+def test_noise_with_nothing_at_frequency_zero_leaves_errors_that_hold():
+    u, y, _ = shaken(236, modes=1, lags=1, outputs=2)
+    result = phc.pem((u, y), dt=1.0)
+    assert result.stderr["natural_frequencies"].max() < 0.01
+
+
+def test_poles_that_stand_for_coloured_noise_do_not_grow():
+    u, y, _ = shaken(9)
+    assert phc.pem((u, y), dt=1.0).poles.real.max() * len(u) < 1.0
+
+
+def test_the_noise_of_states_of_any_size_is_a_covariance():
+    u, y, _ = shaken(149)
+    result = phc.pem((u, y), dt=1.0)
+    assert result.order == 2 and np.all(np.linalg.eigvalsh(result.noise.forces) >= -1e-9 * result.noise.forces.max())

@@ -90,7 +90,8 @@ def _telling_bins(evaluation: LikelihoodEvaluation, plant: Indices, root: Array)
             gains = np.repeat(noise.K[:, :, None].astype(complex), len(z), axis=2)
             states = noise.resolve(z, gains).transpose(2, 0, 1) @ L
             mean = np.sqrt(counts)[:, None, None] * (mean[:, :, plant] @ root)
-            telling = np.sum(np.abs(mean) ** 2, axis=(1, 2)) > least
+            # at frequency zero an output has its constant, of which noise that has nothing there would tell all
+            telling = (np.sum(np.abs(mean) ** 2, axis=(1, 2)) > least) & (z != 1)
             parts.append(tuple(each[telling] for each in (mean, whitening, states, seen)))
     return _Bins(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 

@@ -180,7 +180,8 @@ class StructureCoordinates:
                 if not self.real:
                     by[poles, where + self._units * self.values] += 1j * factor[:, o] * slope[unit]
             fed = np.zeros((int(has_feedthrough), self.size))
-            fed[:, self._through_at[o, i]] = self.through[o, i]
+            if self.through[o, i]:
+                fed[:, self._through_at[o, i]] = 1.0
             blocks += [by.real, by.imag, fed]
         return np.concatenate(blocks) if blocks else np.zeros((0, self.size))
 

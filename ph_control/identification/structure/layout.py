@@ -59,7 +59,7 @@ class ChannelLayout:
     def joined(self, residues: ComplexArray, feedthrough: Array, has_feedthrough: bool) -> Array:
         """`shared` of residues (n, p, m) and feedthrough (p, m): the way back."""
         n, k = len(residues), len(self.scales)
-        each = np.moveaxis(residues.reshape(n, k, -1), 2, 0)
+        each = np.moveaxis(residues.reshape(n, k, feedthrough.size // k), 2, 0)
         through = feedthrough.reshape(k, -1).T[:, None][:, : int(has_feedthrough)]
         joined = np.concatenate([each.real, each.imag, through], axis=1)
         return np.asarray(joined.reshape(-1, k) / self.scales)

@@ -168,7 +168,11 @@ class NoiseModel(Frozen):
         """The noise in the states of a plant, which are `T` times its own."""
         assert self.forces is not None
         cross = None if self.cross is None else T @ self.cross
-        return replace(self, forces=T @ self.forces @ T.T, cross=cross, states=(A, C), apart=False)
+        scale = np.sqrt(np.maximum(np.diag(self.forces), np.finfo(float).tiny))
+        values, vectors = np.linalg.eigh(self.forces / np.outer(scale, scale))
+        # as a product with its own transpose, which rounding leaves a covariance
+        root = T @ (scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+        return replace(self, forces=root @ root.T, cross=cross, states=(A, C), apart=False)
 
     def _in_states_of(self, A: Array, C: Array) -> NoiseModel:
         """The noise with forces that act on the states of a plant, by least squares where its own are apart."""
