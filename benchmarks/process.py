@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import linear_sum_assignment
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter
 from scipy.stats import chi2
 
 import ph_control as phc
@@ -77,6 +77,7 @@ def held(poles: ComplexArray, residues: ComplexArray, u: Array, step: float, lin
 
 CONTROL = {
     "lag": Plant.of((-5.0, 5.0)),
+    "lag of negative gain": Plant.of((-5.0, -5.0)),
     "motor": Plant.of((-2.0, 2.2), (-20.0, -2.2)),
     "RC ladder of three": Plant.of((-0.5, 0.4), (-4.0, 2.0), (-30.0, 12.0)),
     "lag and mode": Plant.of((-1.0, 1.0), (-0.15 + 12j, 0.5 - 0.2j)),
@@ -266,6 +267,19 @@ def _servo(rng: np.random.Generator, samples: int = 2000) -> tuple[Array, Array]
     return u[None], (y + shaft + noise)[None]
 
 
+def _wing(rng: np.random.Generator, share: float, samples: int = 1024) -> tuple[Array, Array]:
+    """Two modes of a wing under a shaker, and turbulence whose response is `share` times as large."""
+    b, a = butter(4, [0.1, 0.35], "band")
+    u = lfilter(b, a, rng.standard_normal((1, samples + 200)))[:, 200:]
+    turbulence = lfilter([1.0], [1.0, -0.7], rng.standard_normal((1, samples)))
+    poles = np.array([-0.02 + 0.55j, -0.012 + 0.72j])
+    y, moved = (
+        held(poles, np.reshape(residues, (2, 1, 1)), signal, 1.0)
+        for residues, signal in (([0.3 - 0.1j, -0.2 + 0.1j], u), ([0.1 + 0.2j, 0.4j], turbulence))
+    )
+    return u, y / np.std(y) + share * moved / np.std(moved) + 0.03 * rng.standard_normal((1, samples))
+
+
 PROCESS: dict[str, Callable[[np.random.Generator], tuple[Array, Array]]] = {
     "heater, load 0.95": lambda rng: _heater(rng, 0.95),
     "heater, load 0.99": lambda rng: _heater(rng, 0.99),
@@ -274,6 +288,8 @@ PROCESS: dict[str, Callable[[np.random.Generator], tuple[Array, Array]]] = {
     "column, 3 x 2": _column,
     "thermal, drifting": _thermal,
     "servo with friction": _servo,
+    "wing, turbulence 0.6": lambda rng: _wing(rng, 0.6),
+    "wing, turbulence 1": lambda rng: _wing(rng, 1.0),
 }
 
 
