@@ -38,9 +38,9 @@ def _under_likelier_hold(first: Choice, request: Request) -> Choice:
     if request.structure == "auto":
         simpler = STRUCTURES[: STRUCTURES.index(first.fit.structure)]
         chosen, tests = tested(rival, request, simpler)
-        # noise of a poor fit lets every structure stand
-        stands = chosen.structure in simpler and _bic_of(chosen.structure, rival, tests) < _bic_of(
-            first.fit.structure, free, first.tests
+        # noise of a poor fit lets every structure stand, and a true one is rejected by chance
+        stands = chosen.structure in simpler and _bic_of(chosen.structure, rival, tests) < min(
+            _bic_of(structure, free, first.tests) for structure in (first.fit.structure, chosen.structure)
         )
         if not (stands or (first.fit.structure == "free" and _is_rather_held_as(rival, tests, free, first.tests))):
             return first
