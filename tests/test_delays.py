@@ -276,3 +276,13 @@ def test_a_delay_does_not_stand_for_the_damping_that_a_given_structure_lacks(see
     result = phc.pem((u, y + 0.05 * y.std() * rng.standard_normal(2000)), 3, dt=1.0, structure="lossless")
     assert result.tests[0].p < 1e-6 and not result.delay.any()
     assert {finding.cause.name for finding in result.findings}.isdisjoint({"DELAY", "INPUT_NOISE"})
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_gain_alone_may_come_late(seed):
+    rng, late = np.random.default_rng(seed), 12
+    u = np.repeat(rng.choice([-1.0, 1.0], 12), 25)[:150]
+    y = np.concatenate([np.zeros(late), 0.8 * u[:-late]]) + rng.standard_normal(150)
+    result = phc.pem((u, y), dt=1.0)
+    assert not len(result.poles) and result.delay[0] == late
+    np.testing.assert_allclose(result.feedthrough[0, 0], 0.8, atol=0.3)

@@ -12,7 +12,6 @@ from ..data.channels import Channels, Recording
 from ..regression.tuning import TUNING
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
-from ..uncertainty.residual_tests import is_white
 from .changing_noise import changing_levels, findings_of, level_of
 from .hum import Tones, lines_in, tones_in, undriven
 from .unequal_noise import in_equal_noise
@@ -135,7 +134,7 @@ def _beside_hum(latest: Searched, search: Search, refine: Refine, automatic: boo
         again = search(again.channels)
         if again.free.interrupted:
             return latest.cut
-        if gain(again, taken) <= 0 or (doubted and not _leaves_white_noise(again.free)):
+        if gain(again, taken) <= 0 or (doubted and not again.free.leaves_white_noise):
             break
         latest = replace(again, findings=tuple(taken.findings(gain(again, taken))))
     return latest
@@ -151,7 +150,7 @@ def _beside_unequal_noise(alone: Searched, search: Search) -> Searched:
     if latest.free.interrupted:
         return latest
     # what modes that are missing leave says nothing of the noise
-    if latest is alone or not _leaves_white_noise(latest.free):
+    if latest is alone or not latest.free.leaves_white_noise:
         return alone
     units = tuple(getattr(channel, "unit", 1.0) for channel in latest.channels)
     gain = 0.5 * (alone.bic - latest.bic - charge)
@@ -187,10 +186,3 @@ def _same_levels(levels: Sequence[Array | None], channels: Channels) -> bool:
         or (new is not None and old is not None and np.mean(np.abs(np.log(new / old))) < _SAME_LEVEL)
         for new, old in zip(levels, known, strict=True)
     )  # fmt: skip
-
-
-def _leaves_white_noise(free: FreeFit) -> bool:
-    """Whether the noise that a fit leaves passes the Ljung-Box test of whiteness."""
-    if free.beside is None:
-        return is_white(free.projection)
-    return bool(free.beside.whiteness >= TUNING.white)

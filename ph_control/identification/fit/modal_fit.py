@@ -79,7 +79,7 @@ def _of_modes_and_inputs(
         return Searched(channels, *_beside_motion(search_in(channels), order, start, options.moving, resting))
 
     def refined(channels: Channels, like: Searched, p: ComplexArray) -> Searched:
-        free = free_refinement(channels, like.free, p, **{**assumptions, "moving": like.moving})
+        free = free_refinement(channels, like.free, p, moving=like.moving, **assumptions)
         return Searched(channels, free, like.moving)
 
     automatic, certain = isinstance(order, str), options.noise in KINDS

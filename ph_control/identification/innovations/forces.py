@@ -164,8 +164,8 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
         return free
     likelier, filters = (False, ()) if certain else _own_noise(best.evaluation, white)
     # where the number of modes is open, those that inputs drive beside forces may still be the likeliest
-    candidate = orders.are_open and best.evaluation.problem.coloured and not (likelier and _doubtful(best))
-    fitted = free if likelier and not candidate else _in_noise(free, best, alone, certain)
+    kept = not likelier or (orders.are_open and best.evaluation.problem.coloured and not _doubtful(best))
+    fitted = _in_noise(free, best, alone, certain) if kept else free
     return replace(fitted, own_noise=filters, own_likelier=likelier)
 
 

@@ -21,7 +21,6 @@ from ..search.channel_rows import Experiments
 from ..search.criteria import Orders
 from ..search.fitted_modes import FreeFit, count_modes, count_real_poles
 from ..search.path import FreePath
-from ..uncertainty.residual_tests import is_white
 from .assumptions import Assumptions, Search, alone
 from .delays import are_heavy, may_be_late, of_late_lag, of_predicted_delay, on_time, predicted_lateness
 from .drifts import beside_drift, with_constants
@@ -64,19 +63,11 @@ def free_fit(
     """
     given = Assumptions(**assumptions)
     fit = _fitted(channels, order, given, start)
-    return (
-        fit
-        if start is not None or fit.interrupted or not _may_grow_by_mistake(fit)
-        else _or_of_decaying_poles(fit, channels, order, given)
-    )
-
-
-def _may_grow_by_mistake(fit: FreeFit) -> bool:
-    """Return whether a pole grows in what leaves more than white noise, which it may stand for part of."""
-    limit = TUNING.slowest_growth * fit.region.bin
-    if not np.any(fit.projection.p.real > limit):
-        return False
-    return not (is_white(fit.projection) if fit.beside is None else fit.beside.whiteness >= TUNING.white)
+    grows = np.any(fit.projection.p.real > TUNING.slowest_growth * fit.region.bin)
+    # a pole that grows may stand for a part of what is more than white noise
+    if start is None and grows and not (fit.interrupted or fit.leaves_white_noise):
+        return _or_of_decaying_poles(fit, channels, order, given)
+    return fit
 
 
 def _or_of_decaying_poles(fit: FreeFit, channels: Experiments, order: int | str, given: Assumptions) -> FreeFit:
@@ -92,7 +83,7 @@ def _or_of_decaying_poles(fit: FreeFit, channels: Experiments, order: int | str,
 
 
 def free_refinement(channels: Experiments, like: FreeFit, p: ComplexArray, **assumptions: Any) -> FreeFit:
-    """Fit poles and residues to other channels from some poles, in the noise, delays and hold of a fit to the like.
+    """Fit poles and residues to other channels from some poles, in the noise, delays and hold of a fit to similar data.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ def in_prevailing_noise(channels: Experiments, search: Search, late: Lateness) -
     forced = fit if fit.interrupted else given.beside(fit, orders=orders)
     if forced.interrupted:
         return Begun(fit, forced, True)
-    if forced.own_likelier and forced.own_noise and search.automatic:
+    if forced.own_likelier and search.automatic:
         path.best = None
         path.whiten(forced.own_noise, path.power)
         coloured = search.along(path, channels, p)

@@ -17,6 +17,7 @@ from ..regression.free import FreeProjection, Lateness
 from ..regression.sections import PoleRegion
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
+from ..uncertainty.residual_tests import is_white
 from .criteria import Criteria
 from .findings import Finding
 
@@ -104,6 +105,11 @@ class FreeFit(Frozen):
     filters: tuple[Array, ...] = ()
     own_noise: tuple[Array, ...] = ()
     own_likelier: bool = False
+
+    @property
+    def leaves_white_noise(self) -> bool:
+        """Whether what it leaves, in its noise, passes the Ljung-Box test of whiteness."""
+        return is_white(self.projection) if self.beside is None else bool(self.beside.whiteness >= TUNING.white)
 
     @property
     def per_entry(self) -> bool:
