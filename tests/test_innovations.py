@@ -11,7 +11,9 @@ import ph_control as phc
 from ph_control.identification.innovations import forces
 from ph_control.identification.innovations.estimated_noise import with_estimated_noise
 from ph_control.identification.innovations.minimum import Experiment, InnovationsModel, Problem, minimise
+from ph_control.identification.innovations.noise_sections import NoiseSections
 from ph_control.identification.innovations.subspace import in_sections
+from ph_control.identification.regression.sections import Sections
 
 
 def innovations_form(noise=0.2):
@@ -91,6 +93,16 @@ def test_bases_of_the_states_change_nothing_and_are_no_unknowns():
         lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
         assert np.abs((gram / np.outer(lengths, lengths)) @ (evaluation.bases * lengths[:, None])).max() < 1e-6
         assert evaluation.unknowns == 6 + 36 + 6 - bases + 6
+
+
+def test_a_real_pole_among_modes_keeps_its_place_as_numbers_move():
+    sections = Sections.of(np.array([-0.1 + 1j, -0.2, -0.05 + 2j]))
+    noise = NoiseSections(sections, 1.0, np.array([1.0, 2.0]), np.ones((1, 5)), np.full((5, 1), 0.1))
+    problem = Problem([Experiment.of_outputs(np.ones((1, 50)))], np.ones((6, 1), bool))
+    point = InnovationsModel(noise, np.arange(6.0)[:, None])
+    again = problem.point(problem.vector(point), point)
+    np.testing.assert_allclose(again.poles, [-0.1 + 1j, -0.2, -0.05 + 2j])
+    np.testing.assert_array_equal(again.shared, point.shared)
 
 
 def of_estimated_noise(evaluation, covariance):

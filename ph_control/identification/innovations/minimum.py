@@ -156,13 +156,14 @@ class Problem:
         """The prediction errors of a model."""
         return LikelihoodEvaluation(self, point)
 
-    def _of_the_same_kind(self, sections: Sections, before: Sections) -> Sections:
-        """Sections whose poles are complex or real as before, where numbers belong to each of these."""
+    def _sections(self, x: Array, before: Sections) -> Sections:
+        """Sections with other coordinates; complex or real as before, where numbers belong to each of their poles."""
+        sections = before.moved(x)
         if not len(self.active) or sections.keeps_kinds(before):
             return sections
         least = (_APART * np.maximum(np.abs(sections.decay), np.sqrt(np.abs(before.square)))) ** 2
         square = np.where(before.square > 0, np.maximum(sections.square, least), np.minimum(sections.square, -least))
-        return Sections.from_coordinates(np.concatenate([sections.decay, square, sections.rates]))
+        return before.moved(np.concatenate([sections.decay, square, sections.rates]))
 
     def vector(self, point: InnovationsModel) -> Array:
         """Numbers that move."""
@@ -180,7 +181,7 @@ class Problem:
             place += size
             return values[place - size : place].reshape(shape)
 
-        sections = self._of_the_same_kind(Sections.from_coordinates(take(noise.sections.x.shape)), noise.sections)
+        sections = self._sections(take(noise.sections.x.shape), noise.sections)
         C, K = (take(noise.C.shape), take(noise.K.shape)) if self.coloured else (noise.C, noise.K)
         shared = np.zeros(like.shared.shape)
         shared[self.active] = take((int(self.active.sum()),))
