@@ -95,6 +95,44 @@ def test_bases_of_the_states_change_nothing_and_are_no_unknowns():
         assert evaluation.unknowns == 6 + 36 + 6 - bases + 6
 
 
+def test_a_lag_before_the_noise_colours_the_innovations_and_has_the_gradient_of_the_likelihood():
+    y = ambient(2, 400)
+    problem, noise = problem_at_truth(y)
+    shape, gain, z = np.array([1.0, -0.5, 0.2]), np.array([0.3, 0.1, 0.0]), np.exp(1j * np.array([0.01, 0.5, 3.0]))
+    longer = noise.with_lag(0.4, shape, gain)
+    before, after = (np.eye(3) + each.outputs_of_states(z) @ each.K for each in (noise, longer))
+    colour = np.eye(3) + np.outer(shape, gain) / (z - np.exp(-0.4))[:, None, None]
+    np.testing.assert_allclose(after, before @ colour, rtol=1e-9)
+    assert longer.unknowns == noise.unknowns + 6
+    point = InnovationsModel(longer, np.zeros((0, 3)), (), (np.zeros(7),))
+    gram, gradient = problem.evaluated(point).normal
+    x, differences = problem.vector(point), np.zeros(len(gradient))
+    for j in range(len(x)):
+        change = np.zeros(len(x))
+        change[j] = 1e-6 * max(abs(x[j]), 1e-2)
+        up, down = (problem.evaluated(problem.point(x + s * change, point)).cost for s in (1, -1))
+        differences[j] = 0.25 * (up - down) / change[j]
+    lengths = np.sqrt(np.diag(gram))
+    np.testing.assert_allclose(gradient / lengths, differences / lengths, atol=2e-4)
+
+
+def test_a_predictor_that_grows_is_reflected_to_the_noise_of_the_same_spectrum():
+    A, C, K, S = innovations_form()
+    noise = in_sections(A, C, K, 1.0)
+    grown = noise.moved(noise.sections, noise.C, noise.K + 3.0 * np.linalg.pinv(noise.C))
+    assert not grown.is_stable
+    again = grown.that_forgets(S)
+    assert again.is_stable
+    z = np.exp(1j * np.linspace(0.05, 3.0, 7))
+    before, after = (np.eye(3) + each.outputs_of_states(z) @ each.K for each in (grown, again))
+    spectrum = before @ S @ before.conj().transpose(0, 2, 1)
+    # of a larger covariance of what cannot be foretold, the same at all frequencies
+    inverse = np.linalg.inv(after)
+    white = inverse @ spectrum @ inverse.conj().transpose(0, 2, 1)
+    np.testing.assert_allclose(white, np.broadcast_to(white[0], white.shape), atol=1e-8 * np.abs(white).max())
+    assert noise.that_forgets(S) is noise
+
+
 def test_a_real_pole_among_modes_keeps_its_place_as_numbers_move():
     sections = Sections.of(np.array([-0.1 + 1j, -0.2, -0.05 + 2j]))
     noise = NoiseSections(sections, 1.0, np.array([1.0, 2.0]), np.ones((1, 5)), np.full((5, 1), 0.1))

@@ -38,9 +38,9 @@ class _Bins:
     states: ComplexArray
     seen: ComplexArray
 
-    def slope(self, C: Array, K: Array, root: Array) -> ComplexArray:
-        """The matrices `E` (bins, p, p) of a direction in `C` (p, N) and `K` (N, p)."""
-        half = self.whitening @ (C @ self.states) + self.seen @ (K @ root)
+    def slope(self, A: Array, C: Array, K: Array, root: Array) -> ComplexArray:
+        """The matrices `E` (bins, p, p) of a direction in `A` (N,), on its diagonal, `C` (p, N) and `K` (N, p)."""
+        half = self.whitening @ (C @ self.states) + self.seen @ (A[:, None] * self.states + K @ root)
         return np.asarray(half + half.conj().transpose(0, 2, 1))
 
 
@@ -49,8 +49,8 @@ def with_estimated_noise(evaluation: LikelihoodEvaluation, covariance: Array) ->
     problem, noise = evaluation.problem, evaluation.point.noise
     if not problem.coloured or not any(experiment.rows for experiment in problem.experiments):
         return covariance
-    few, width = len(noise.sections.x), noise.C.size
-    plant = np.append(np.arange(few), np.arange(few + 2 * width, len(covariance)))
+    few, first = len(noise.sections.x), problem.numbers_before_shared(noise)
+    plant = np.append(np.arange(few), np.arange(first, len(covariance)))
     values, vectors = np.linalg.eigh(covariance[np.ix_(plant, plant)])
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     bins = _telling_bins(evaluation, plant, root)
@@ -59,7 +59,7 @@ def with_estimated_noise(evaluation: LikelihoodEvaluation, covariance: Array) ->
     spread, twice = X @ X.conj().transpose(0, 2, 1), np.zeros((len(plant), len(plant)))
     every: ComplexArray = np.zeros(spread.shape, complex)
     downwards: ComplexArray = np.zeros(spread.shape, complex)
-    for E in _slopes(evaluation, bins, covariance[few : few + 2 * width, few : few + 2 * width]):
+    for E in _slopes(evaluation, bins, covariance[few:first, few:first]):
         through = E @ X
         P = flat.T @ np.concatenate([through.real, through.imag]).reshape(flat.shape)
         every = every + E @ E
@@ -97,8 +97,9 @@ def _telling_bins(evaluation: LikelihoodEvaluation, plant: Indices, root: Array)
 
 
 def _slopes(evaluation: LikelihoodEvaluation, bins: _Bins, covariance: Array) -> Iterator[ComplexArray]:
-    """Matrices `E` (bins, p, p) of directions of the noise that have covariance 1: gains and shapes, then sizes."""
-    p, N = evaluation.point.noise.C.shape
+    """Matrices `E` (bins, p, p) of directions of the noise that have covariance 1: lags, shapes, gains, then sizes."""
+    noise = evaluation.point.noise
+    (p, N), lags = noise.C.shape, len(noise.lags)
     L = np.asarray(np.linalg.cholesky(evaluation.covariance), float)
     values, vectors = np.linalg.eigh(covariance)
     kept = values > _RULE * values.max(initial=0.0)
@@ -106,8 +107,11 @@ def _slopes(evaluation: LikelihoodEvaluation, bins: _Bins, covariance: Array) ->
     if directions.shape[1] > _DIRECTIONS:
         mixed = np.random.default_rng(0).standard_normal((directions.shape[1], _DIRECTIONS))
         directions = directions @ mixed / np.sqrt(_DIRECTIONS)
+    slopes = np.concatenate([np.zeros(N - lags), -noise.step * np.exp(-noise.lags * noise.step)])
     for direction in directions.T:
-        yield bins.slope(direction[: p * N].reshape(p, N), direction[p * N :].reshape(N, p), L)
+        of_lags, C, K = np.split(direction, [lags, lags + p * N])
+        along = slopes * np.append(np.zeros(N - lags), of_lags)
+        yield bins.slope(along, C.reshape(p, N), K.reshape(N, p), L)
     for a in range(p):
         for b in range(a + 1):
             size = np.zeros((p, p))

@@ -38,9 +38,8 @@ class Quadratic:
         problem, point = evaluation.problem, evaluation.point
         sections, active = point.noise.sections, problem.active
         size, every = len(sections.x), with_estimated_noise(evaluation, evaluation.information_inverse())
-        noise = 2 * point.noise.C.size if problem.coloured else 0
-        count = int(active.sum())
-        kept = np.append(np.arange(size), size + noise + np.arange(count))
+        first, count = problem.numbers_before_shared(point.noise), int(active.sum())
+        kept = np.append(np.arange(size), first + np.arange(count))
         poles, shared = sections.pole_slopes, point.shared
         T = np.zeros((len(poles) + shared.size, size + count))
         T[: len(poles), :size] = poles
@@ -50,7 +49,7 @@ class Quadratic:
         information = np.linalg.pinv(inner, rcond=1e-13, hermitian=True)
         values, vectors = np.linalg.eigh(0.5 * (information + information.T))
         root = (vectors * np.sqrt(np.maximum(values, 0.0))).T @ np.linalg.pinv(T)
-        own, spreads, along, first = list[Array](), list[Array](), list[Array](), size + noise + count
+        own, spreads, along, first = list[Array](), list[Array](), list[Array](), first + count
         for part in point.own:
             mine = np.arange(first, first + part.size)
             moved = every[np.ix_(mine, kept)] @ information

@@ -167,7 +167,7 @@ class Problem:
 
     def vector(self, point: InnovationsModel) -> Array:
         """Numbers that move."""
-        noise = [point.noise.C.ravel(), point.noise.K.ravel()] if self.coloured else []
+        noise = [point.noise.lags, point.noise.C.ravel(), point.noise.K.ravel()] if self.coloured else []
         own = (each.ravel() for each in point.own)
         return np.concatenate([point.noise.sections.x, *noise, point.shared[self.active], *own, *point.states])
 
@@ -182,17 +182,22 @@ class Problem:
             return values[place - size : place].reshape(shape)
 
         sections = self._sections(take(noise.sections.x.shape), noise.sections)
-        C, K = (take(noise.C.shape), take(noise.K.shape)) if self.coloured else (noise.C, noise.K)
+        matrices = noise.lags, noise.C, noise.K
+        lags, C, K = (take(each.shape) for each in matrices) if self.coloured else matrices
         shared = np.zeros(like.shared.shape)
         shared[self.active] = take((int(self.active.sum()),))
         own = tuple(take(part.shape) for part in like.own)
         states = tuple(take(part.shape) for part in like.states)
-        return InnovationsModel(noise.moved(sections, C, K), shared, own, states)
+        return InnovationsModel(noise.moved(sections, C, K, lags), shared, own, states)
+
+    def numbers_before_shared(self, noise: NoiseSections) -> int:
+        """How many numbers, of sections and of the noise, come before those that inputs drive."""
+        return len(noise.x) + 2 * noise.C.size if self.coloured else len(noise.sections.x)
 
     def driven_best(self, point: InnovationsModel) -> InnovationsModel:
         """The model whose numbers beside poles and noise are best in this noise: errors are linear in them."""
         best = evaluation = self.evaluated(point)
-        first = len(point.noise.sections.x) + (2 * point.noise.C.size if self.coloured else 0)
+        first = self.numbers_before_shared(point.noise)
         for _ in range(_ROUNDS):  # with the covariance that belongs to them
             if not np.isfinite(evaluation.cost):
                 break
@@ -269,6 +274,11 @@ class LikelihoodEvaluation:
     def unknowns(self) -> int:
         """Numbers that move, less those of bases, and of the covariance."""
         return len(self.problem.vector(self.point)) - self.bases.shape[1] + self.p * (self.p + 1) // 2
+
+    @property
+    def bic(self) -> float:
+        """Value of that criterion."""
+        return self.cost + self.unknowns * float(np.log(self.problem.samples * self.p))
 
     @cached_property
     def covariance(self) -> Array:
@@ -348,7 +358,7 @@ class LikelihoodEvaluation:
         Bins are thinned where they are many, as far as modes remain wide: the information is smooth over frequency.
         """
         noise, problem, p, N = self.point.noise, self.problem, self.p, self.point.noise.states
-        few, both = len(noise.sections.x), 2 * p * N
+        few, both = len(noise.x), 2 * p * N
         size = len(problem.vector(self.point))
         gram = np.zeros((size, size))
         slim = np.concatenate([np.arange(few), np.arange(few + both, size)])  # coordinates of sections, first states
@@ -391,7 +401,7 @@ class LikelihoodEvaluation:
     def _slope_of_noise(self) -> Array:
         """Half the gradient, of outputs alone: from all bins, without a Jacobian."""
         noise, N = self.point.noise, self.point.noise.states
-        x, C, K = np.zeros(len(noise.sections.x)), np.zeros((self.p, N)), np.zeros((N, self.p))
+        x, C, K = np.zeros(len(noise.x)), np.zeros((self.p, N)), np.zeros((N, self.p))
         starts = []
         for place, (experiment, errors) in enumerate(zip(self.problem.experiments, self.errors, strict=True)):
             start = np.zeros(N)
@@ -415,15 +425,14 @@ class LikelihoodEvaluation:
         seen: ComplexArray | None,
     ) -> None:  # fmt: skip
         """Derivatives of whitened errors of some bins by all numbers."""
-        noise, problem, sections = self.point.noise, self.problem, self.point.noise.sections
-        column = len(sections.x)
+        noise, problem, column = self.point.noise, self.problem, len(self.point.noise.sections.x)
         if seen is not None:
             states = self._states(place, z, e)
             through = W @ seen
             for k, (first, block) in enumerate(noise.slopes):
                 these = slice(first, first + len(block))
                 J[:, :, k] -= np.einsum("bpn,nb->bp", through[:, :, these], block @ states[these])
-            N = noise.states
+            N, column = noise.states, len(noise.x)
             of_C = W[:, :, :, None] * states.T[:, None, None, :]
             J[:, :, column : column + self.p * N] = -of_C.reshape(len(z), self.p, -1)
             column += self.p * N
@@ -439,10 +448,10 @@ class LikelihoodEvaluation:
 
     def slopes_of_mean(self, place: int, bins: slice) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Whitened derivatives (bins, p, P) of the outputs' mean by all numbers, what whitens, and the states seen."""
-        z, first = self.problem.experiments[place].z[bins], len(self.point.noise.sections.x)
+        z, first = self.problem.experiments[place].z[bins], self.problem.numbers_before_shared(self.point.noise)
         W, seen = self._whitening(z)
         J = np.zeros((len(z), self.p, len(self.problem.vector(self.point))), complex)
-        self._fill_driven(J, place, bins, W, first + 2 * self.point.noise.C.size)
+        self._fill_driven(J, place, bins, W, first)
         return J, W, W @ np.asarray(seen)
 
     def _fill_driven(self, J: ComplexArray, place: int, bins: slice, W: ComplexArray, column: int) -> None:
@@ -513,7 +522,7 @@ class LikelihoodEvaluation:
     @cached_property
     def _held(self) -> Indices:
         """Places of numbers that stay: what outputs see of the second state of each mode, where shapes are real."""
-        noise, first = self.point.noise, len(self.point.noise.sections.x)
+        noise, first = self.point.noise, len(self.point.noise.x)
         if not (self.problem.real_shapes and self.problem.coloured):
             return np.zeros(0, int)
         second = 2 * np.flatnonzero(noise.sections.square > 0) + 1
@@ -525,13 +534,30 @@ class LikelihoodEvaluation:
         size = len(self.problem.vector(self.point))
         if not self.problem.coloured:
             return np.zeros((size, 0))
-        noise, first = self.point.noise, len(self.point.noise.sections.x)
+        noise, first = self.point.noise, len(self.point.noise.x)
         inner, matrices = noise.bases(self.problem.real_shapes, self.point.states), 2 * noise.C.size
         bases = np.zeros((size, inner.shape[1] + len(self._held)))
         bases[first : first + matrices, : inner.shape[1]] = inner[:matrices]
         bases[size - (len(inner) - matrices) :, : inner.shape[1]] = inner[matrices:]
         bases[self._held, inner.shape[1] + np.arange(len(self._held))] = 1.0
         return bases
+
+    def promised(self, numbers: Indices, others: Indices, chance: Callable[[Array], Array] | None = None) -> float:
+        """Twice the log-likelihood that one step of some numbers promises, others moving along.
+
+        Beyond what a slope promises that comes of `chance`, of the inverse (O, O) of the others' Gram matrix.
+        """
+        gram, gradient = self.normal
+        lengths = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+        gram, gradient = gram / np.outer(lengths, lengths), gradient / lengths
+        among = np.linalg.pinv(gram[np.ix_(others, others)], rcond=1e-12, hermitian=True)
+        # where others are not at their best among themselves, that is no sign of these
+        moved = among @ gram[np.ix_(others, numbers)]
+        inner = gram[np.ix_(numbers, numbers)] - gram[np.ix_(numbers, others)] @ moved
+        slope = gradient[numbers] - moved.T @ gradient[others]
+        if chance is not None:
+            slope -= chance(among / np.outer(lengths[others], lengths[others])) / lengths[numbers]
+        return float(slope @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ slope)
 
     def scaled_normal(self) -> tuple[Array, Array, Array]:
         """Gram matrix with unit diagonal that is regular in the free bases, gradient, and the lengths of columns."""
@@ -587,7 +613,10 @@ def minimise(
             with suppress(np.linalg.LinAlgError):  # rounding may leave the Gram matrix indefinite
                 factor = cho_factor(gram + damping * np.eye(len(gram)))
                 step = -cho_solve(factor, gradient) / lengths
-                trial = problem.evaluated(problem.point(x + step, best.point))
+                point = problem.point(x + step, best.point)
+                if problem.coloured:  # zeros of the noise on the unit circle are no border
+                    point = replace(point, noise=point.noise.that_forgets(best.covariance))
+                trial = problem.evaluated(point)
                 if trial.cost < best.cost:
                     break
             damping *= _GROWTH
@@ -598,6 +627,16 @@ def minimise(
         if gain < tolerance:
             return Minimum(best, True, taken)
     return Minimum(best, False, taken)
+
+
+def followed(
+    problem: Problem, start: InnovationsModel, tolerance: float = 1e-3, steps: int = _STEPS
+) -> Minimum:  # fmt: skip
+    """The minimum from a start; an interruption ends all that was to come of it."""
+    minimum = minimise(problem, start, tolerance, steps)
+    if minimum.interrupted:
+        raise KeyboardInterrupt
+    return minimum
 
 
 def _product(first: ComplexArray, second: ComplexArray, counts: Array) -> Array:

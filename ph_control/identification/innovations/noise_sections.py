@@ -1,18 +1,20 @@
-"""Noise in innovations form: `H(z) = 1 + C (z - A)^{-1} K`, with the sections of the plant in `A`.
+"""Noise in innovations form: `H(z) = 1 + C (z - A)^{-1} K`, with the sections of the plant in `A`, and lags beside.
 
 White forces of any number on a plant, with white noise of its sensors that may be correlated, have the spectrum
 `H Sigma H^*` with `Sigma` the covariance of what the past of the outputs does not foretell.  `K` is the Kalman gain of
 the predictor, whose poles are those of `A - K C`.  A section is `exp(h [[-decay, w], [-square / w, -decay]])` with a
-reference `w` of its own: smooth through critical damping.
+reference `w` of its own: smooth through critical damping.  Forces that are not white, as of turbulence, come through
+lags of their own, which inputs do not drive.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 from ..._types import Array, ComplexArray
 from ..regression.sections import Sections
@@ -29,7 +31,7 @@ class NoiseSections:
     Attributes
     ----------
     sections : Sections
-        Of k pairs of poles, and one first-order section or none: N = 2 k + 1 or 2 k states.
+        Of the plant: k pairs of poles, and one first-order section or none.
     step : float
         Time between samples.
     references : ndarray, shape (k,)
@@ -38,6 +40,8 @@ class NoiseSections:
         What outputs see of the states.
     K : ndarray, shape (N, p)
         Kalman gain of the predictor.
+    lags : ndarray, shape (l,)
+        Rates of first-order states that noise alone comes through: N = 2 k + l or 2 k + 1 + l states.
     """
 
     sections: Sections
@@ -45,6 +49,7 @@ class NoiseSections:
     references: Array
     C: Array
     K: Array
+    lags: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def without_states(cls, outputs: int) -> NoiseSections:
@@ -64,8 +69,18 @@ class NoiseSections:
 
     @property
     def unknowns(self) -> int:
-        """Numbers in `C` and `K` but for the bases of the sections, which are free."""
-        return 2 * self.C.size - self.states
+        """Lags, and numbers in `C` and `K` but for the bases of the sections, which are free."""
+        return len(self.lags) + 2 * self.C.size - self.states
+
+    @property
+    def rates(self) -> Array:
+        """Rates of all first-order states: that of the plant, and lags."""
+        return np.concatenate([self.sections.rates, self.lags])
+
+    @cached_property
+    def x(self) -> Array:
+        """Coordinates of the sections, then lags."""
+        return np.concatenate([self.sections.x, self.lags])
 
     @cached_property
     def _turn(self) -> tuple[Array, Array, Array, Array]:
@@ -95,14 +110,14 @@ class NoiseSections:
 
     @cached_property
     def slopes(self) -> list[tuple[int, Array]]:
-        """Derivatives of `A` by the coordinates of the sections: first state and block of each."""
+        """Derivatives of `A` by the coordinates `x`: first state and block of each."""
         _, sine, cosine_by, sine_by = self._turn
         growth, w, q = np.exp(-self.sections.decay * self.step), self.references, self.sections.square
         by_square = self._in_blocks(cosine_by, sine_by, q)
         by_square[:, 1, 0] -= growth * sine / w
         each = [(2 * k, -self.step * block) for k, block in enumerate(self.blocks)]
         each += [(2 * k, block) for k, block in enumerate(by_square)]
-        single = -self.step * np.exp(-self.sections.rates * self.step)
+        single = -self.step * np.exp(-self.rates * self.step)
         return each + [(2 * self.pairs + k, np.array([[slope]])) for k, slope in enumerate(single)]
 
     @cached_property
@@ -111,7 +126,7 @@ class NoiseSections:
         A = np.zeros((self.states, self.states))
         for k, block in enumerate(self.blocks):
             A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
-        for k, rate in enumerate(self.sections.rates):
+        for k, rate in enumerate(self.rates):
             A[2 * self.pairs + k, 2 * self.pairs + k] = np.exp(-rate * self.step)
         return A
 
@@ -121,6 +136,22 @@ class NoiseSections:
         with np.errstate(over="ignore", invalid="ignore"):
             closed = self.A - self.K @ self.C
         return bool(np.isfinite(closed).all() and np.abs(np.linalg.eigvals(closed)).max(initial=0.0) < 1)
+
+    def that_forgets(self, covariance: Array) -> NoiseSections:
+        """The noise of the same spectrum whose predictor forgets, of innovations of a covariance (p, p).
+
+        Poles of a predictor that grow are reflected at the unit circle.  The same noise where that has no solution.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            if self.is_stable or not np.isfinite(self.A).all():
+                return self
+            KR = self.K @ covariance
+            try:
+                P = solve_discrete_are(self.A.T, self.C.T, KR @ self.K.T, covariance, s=KR)
+                K = np.linalg.solve(self.C @ P @ self.C.T + covariance, (self.A @ P @ self.C.T + KR).T).T
+            except (np.linalg.LinAlgError, ValueError):
+                return self
+        return self.moved(self.sections, self.C, np.asarray(K, float))
 
     @cached_property
     def _predictor(self) -> tuple[ComplexArray, ComplexArray, ComplexArray] | None:
@@ -207,8 +238,8 @@ class NoiseSections:
             yield 2 * k, np.eye(2)
             if not (real_shapes and square > 0):
                 yield 2 * k, np.array([[0.0, 1.0], [-square / w**2, 0.0]])
-        for k in range(len(self.sections.rates)):
-            yield 2 * self.pairs + k, np.eye(1)
+        for k in range(2 * self.pairs, self.states):
+            yield k, np.eye(1)
 
     def of_real_shapes(self) -> NoiseSections:
         """The model in bases in which outputs see the first state of each mode alone, as far as shapes are real."""
@@ -223,6 +254,14 @@ class NoiseSections:
             C[:, 2 * k + 1] = 0.0
         return self.moved(self.sections, C, K)
 
-    def moved(self, sections: Sections, C: Array, K: Array) -> NoiseSections:
+    def moved(self, sections: Sections, C: Array, K: Array, lags: Array | None = None) -> NoiseSections:
         """The model with other numbers."""
-        return replace(self, sections=sections, C=C, K=K)
+        return replace(self, sections=sections, C=C, K=K, lags=self.lags if lags is None else lags)
+
+    def with_lag(self, rate: float, shape: Array, gain: Array) -> NoiseSections:
+        """The model with a lag more, before what there is: innovations are `e = (1 + shape gain^T / (z - a)) e'`."""
+        a = np.exp(-rate * self.step)
+        moved = np.linalg.solve(self.A - a * np.eye(self.states), self.K @ shape)
+        C = np.column_stack([self.C, shape - self.C @ moved])
+        K = np.concatenate([self.K + np.outer(moved, gain), gain[None]])
+        return replace(self, C=C, K=K, lags=np.append(self.lags, rate))
