@@ -279,9 +279,18 @@ def test_a_structure_that_is_not_rejected_predicts_as_well_as_free_residues():
     assert missed(result, u, clean) < 0.5
 
 
+@pytest.mark.parametrize("seed", [222, 235, 255])
+def test_the_colour_of_a_force_is_neither_a_lag_nor_a_mode_of_the_plant(seed):
+    u, y, _ = shaken(seed, modes=1, lags=1, outputs=2)
+    result = phc.pem((u, y), dt=1.0)
+    assert causes(result) >= {"FORCES"}
+    assert (result.order, len(result.time_constants)) == (1, 1)
+
+
 def test_noise_with_nothing_at_frequency_zero_leaves_errors_that_hold():
     u, y, _ = shaken(236, modes=1, lags=1, outputs=2)
     result = phc.pem((u, y), dt=1.0)
+    assert (result.order, len(result.time_constants)) == (1, 1)
     assert result.stderr["natural_frequencies"].max() < 0.01
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
@@ -24,7 +23,7 @@ from ..search.whitening import foretold
 from ..uncertainty.noise_model import NoiseModel
 from ..uncertainty.residual_tests import ljung_box
 from .joint import JointProjection, Quadratic
-from .minimum import Experiment, InnovationsModel, LikelihoodEvaluation, Minimum, Problem, minimise
+from .minimum import Experiment, InnovationsModel, LikelihoodEvaluation, Minimum, Problem, followed
 from .missing_mode import missing_mode
 from .noise_sections import NoiseSections
 from .subspace import in_sections
@@ -48,7 +47,9 @@ _FAR = 0.1  # logarithm of the ratio of variances for each output, by which nois
 _LONGEST_PAST = 64  # samples that noise of an output may depend on
 _ROUGH, _FEW = 1.0, 12  # tolerance and steps of a minimisation on the way
 _ROWS = 300  # of a covariance of the past of outputs and inputs
-_HALVINGS = 6  # of gains until a predictor forgets
+_LAGS = 3  # of forces, at most
+_RATES = 0.05, 0.4  # of these, for each sample, that are tried
+_COLOURS = (0.1, 0.1), (0.1, 0.4), (0.5, 0.4)  # rates and parts that a minimisation begins with
 _CLOSE = 3  # models that are refined before the criterion chooses
 
 
@@ -148,16 +149,14 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
     rows = _rows(free)
     if rows is None:
         return free
-    start = _start(free, rows, free.projection.p)
-    white = None if start is None else replace_colour(start[0], False).evaluated(start[1])
-    start, white = (start, white) if white is not None and np.isfinite(white.cost) else (None, None)
+    start, white = _in_white_noise(free, rows)
     if white is not None and np.linalg.eigvalsh(_correlations(white.covariance)).min() < _SINGULAR:
         return free
     alone = _alone(free, rows, white)
     foretold = _Predictors(free, rows, orders)
     best = _in_shared_noise(white, alone, certain, foretold) if white is not None and "correlated" in kinds else None
     if "forces" in kinds and (certain or _hints_at_forces(foretold, alone, best.evaluation if best else white)):
-        forced = _forced(start, foretold)
+        forced = _forced(start, foretold, white, certain)
         if forced is not None and (certain or _shows_forces(free, rows, forced, best)):
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
@@ -167,6 +166,18 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
     kept = not likelier or (orders.are_open and best.evaluation.problem.coloured and not _doubtful(best))
     fitted = _in_noise(free, best, alone, certain) if kept else free
     return replace(fitted, own_noise=filters, own_likelier=likelier)
+
+
+def _in_white_noise(
+    free: FreeFit, rows: Sequence[FreeRecord]
+) -> tuple[Start, LikelihoodEvaluation] | tuple[None, None]:  # fmt: skip
+    """The fit as a start, and its likelihood in white noise; None twice where there is none."""
+    start = _start(free, rows, free.projection.p)
+    if start is not None:
+        white = replace_colour(start[0], False).evaluated(start[1])
+        if np.isfinite(white.cost):
+            return start, white
+    return None, None
 
 
 def _in_shared_noise(
@@ -179,12 +190,12 @@ def _in_shared_noise(
     outputs = white.p
     if outputs == 1 or not (certain or _are_correlated(white)):
         return None
-    shared = _followed(white.problem, white.point, steps=_STEPS)
+    shared = followed(white.problem, white.point, steps=_STEPS)
     if not certain and not _is_likelier(alone, shared.evaluation.cost, outputs * (outputs - 1) // 2):
         return None
-    others = [_followed(*_without_gain(begin), _ROUGH, _FEW) for begin in foretold.starts]
-    best = min([shared, *others], key=lambda end: _bic(end.evaluation))
-    return best if best is shared else _followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
+    others = [followed(*_without_gain(begin), _ROUGH, _FEW) for begin in foretold.starts]
+    best = min([shared, *others], key=lambda end: end.evaluation.bic)
+    return best if best is shared else followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
 
 
 def _without_gain(begin: Start) -> Start:
@@ -194,19 +205,62 @@ def _without_gain(begin: Start) -> Start:
     return replace_colour(problem, False), replace(point, noise=noise.moved(noise.sections, noise.C, 0 * noise.K))
 
 
-def _forced(start: Start | None, foretold: _Predictors) -> Minimum | None:
+def _forced(
+    start: Start | None, foretold: _Predictors, white: LikelihoodEvaluation | None, certain: bool
+) -> Minimum | None:  # fmt: skip
     """The minimum beside forces: with the same modes, or with those that the BIC prefers of so many.
 
     In white noise modes more than there are stand for what forces do, and weak ones are hidden by it: so the search
-    begins with the poles of predictors as well.  None where there is nothing to begin with.
+    begins with the poles of predictors as well.  None where there is nothing to begin with.  Where noise of each output
+    is likelier than white forces, those of other spectra are not looked for, unless forces are `certain`.
     """
     starts = [*([] if start is None else [_damped(foretold, start)]), *foretold.starts]
-    ends = [_followed(*begin, _ROUGH, _FEW) for begin in starts]
+    ends = [followed(*begin, _ROUGH, _FEW) for begin in starts]
     if not ends:
         return None
-    best = min(ends, key=lambda end: _bic(end.evaluation))
-    best = _followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
-    return _of_fewer_modes(best) if foretold.orders.are_open else best
+    best = min(ends, key=lambda end: end.evaluation.bic)
+    best = followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
+    lags = _LAGS if certain or not _own_noise(best.evaluation, white)[0] else 0
+    best = _with_lags(best, lags)
+    if not foretold.orders.are_open:
+        return best
+    best = _of_fewer_modes(best, lags)
+    return _of_undriven_lag(best) if lags and foretold.orders.real_poles is None else best
+
+
+def _with_lags(best: Minimum, most: int) -> Minimum:
+    """The minimum with lags that noise alone comes through, as long as the BIC falls: forces need not be white."""
+    problem = best.evaluation.problem
+    while len(best.evaluation.point.noise.lags) < most and _promises_lag(best.evaluation):
+        starts = (_lag_before(best.evaluation, rate, part) for rate, part in _COLOURS)
+        end = min((followed(problem, start, _ROUGH, _FEW) for start in starts), key=lambda end: end.evaluation.bic)
+        end = followed(problem, end.evaluation.point, steps=_STEPS)
+        growth = max(0.0, float(best.evaluation.point.poles.real.max(initial=0.0)))
+        if end.evaluation.bic >= best.evaluation.bic or np.any(end.evaluation.point.poles.real > growth):
+            break  # through a pole that grows beside a zero, as fast, comes hardly any noise
+        best = end
+    return best
+
+
+def _promises_lag(evaluation: LikelihoodEvaluation) -> bool:
+    """Whether one step of the gains of a lag promises some of what the BIC asks for."""
+    problem, outputs = evaluation.problem, evaluation.p
+    for rate in _RATES:
+        begun = problem.evaluated(_lag_before(evaluation, rate, 0.0))
+        numbers = problem.numbers_before_shared(begun.point.noise) - outputs + np.arange(outputs)
+        others = np.setdiff1d(np.arange(len(begun.normal[1])), numbers)
+        if begun.promised(numbers, others) > _HINT * 2 * outputs * np.log(problem.samples * outputs):
+            return True
+    return False
+
+
+def _lag_before(evaluation: LikelihoodEvaluation, rate: float, part: float) -> InnovationsModel:
+    """The model with a lag more before the strongest innovations, of which past errors foretell a part."""
+    noise = evaluation.point.noise
+    values, vectors = np.linalg.eigh(evaluation.covariance)
+    size, shape = np.sqrt(values[-1]), vectors[:, -1]
+    lag = noise.with_lag(rate / noise.step, size * shape, part * np.exp(-rate) / size * shape)
+    return replace(evaluation.point, noise=lag)
 
 
 def _damped(foretold: _Predictors, start: Start) -> Start:
@@ -298,7 +352,7 @@ def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, sh
         evaluation = replace_colour(start[0], False).evaluated(start[1])
         white, more = _alone(replace(free, noise=()), rows, evaluation), more + p * (p - 1) // 2
     else:
-        white = _followed(replace_colour(start[0], False), start[1], steps=_STEPS).evaluation.cost
+        white = followed(replace_colour(start[0], False), start[1], steps=_STEPS).evaluation.cost
     charge = more * float(np.log(forced.evaluation.problem.samples * p))
     gain = white - forced.evaluation.cost
     return gain > charge + 2 * _SURE and _is_likelier(white, forced.evaluation.cost, more)
@@ -340,20 +394,28 @@ def _autoregressions(evaluation: LikelihoodEvaluation, charge: float) -> tuple[f
     return cost, tuple(filters)
 
 
-def _of_fewer_modes(best: Minimum) -> Minimum:
+def _of_fewer_modes(best: Minimum, lags: int) -> Minimum:
     """The minimum without modes that stood for the noise, as long as the BIC falls."""
     while len(best.evaluation.point.noise.sections.x) > 2:
         fewer = [_without(best, k) for k in _doubtful(best)]
-        costs = [_bic(minimum.evaluation) for minimum in fewer]
-        if not costs or min(costs) >= _bic(best.evaluation):
+        if not fewer:
             break
-        best = fewer[int(np.argmin(costs))]
+        nearly = min(fewer, key=lambda minimum: minimum.evaluation.bic).evaluation
+        likeliest = _with_lags(followed(nearly.problem, nearly.point, steps=_STEPS), lags)
+        if likeliest.evaluation.bic >= best.evaluation.bic:
+            break
+        best = likeliest
     return best
 
 
-def _bic(evaluation: LikelihoodEvaluation) -> float:
-    rows = evaluation.problem.samples * evaluation.p
-    return evaluation.cost + evaluation.unknowns * float(np.log(rows))
+def _of_undriven_lag(best: Minimum) -> Minimum:
+    """The minimum whose first-order section noise alone comes through, if the BIC falls."""
+    noise, k = best.evaluation.point.noise, best.evaluation.point.noise.pairs
+    if not (k and len(noise.sections.rates)):
+        return best
+    sections = Sections.from_coordinates(noise.sections.x[: 2 * k])
+    undriven = _driven_anew(best, replace(noise, sections=sections, lags=noise.rates))
+    return undriven if undriven.evaluation.bic < best.evaluation.bic else best
 
 
 def _doubtful(best: Minimum) -> list[int]:
@@ -362,7 +424,7 @@ def _doubtful(best: Minimum) -> list[int]:
     point, problem = evaluation.point, evaluation.problem
     covariance = evaluation.information_inverse()
     active, n = problem.active, len(point.poles)
-    first = len(point.noise.sections.x) + (2 * point.noise.C.size if problem.coloured else 0)
+    first = problem.numbers_before_shared(point.noise)
     numbers = np.full(active.shape, -1)
     numbers[active] = first + np.arange(int(active.sum()))
     charge = float(np.log(problem.samples * evaluation.p))
@@ -389,24 +451,18 @@ def _without(best: Minimum, section: int) -> Minimum:
         noise, sections=Sections.from_coordinates(noise.sections.x[kept]), C=noise.C[:, states], K=noise.K[states],
         references=np.delete(noise.references, section),
     )  # fmt: skip
+    return _driven_anew(best, fewer)
+
+
+def _driven_anew(best: Minimum, noise: NoiseSections) -> Minimum:
+    """The minimum with other sections, what inputs drive of them as in white noise to begin with."""
     problem = best.evaluation.problem
     rows = [part for experiment in problem.experiments for part in experiment.rows]
-    driven = FreeProjection(rows, fewer.sections.p, problem.fed, fewer.sections)
+    driven = FreeProjection(rows, noise.sections.p, problem.fed, noise.sections)
     problem = Problem(problem.experiments, driven.shown, problem.coloured, problem.fed)
-    begin = InnovationsModel(fewer, driven.shared, tuple(driven.own))
-    for _ in range(_HALVINGS):  # the gains of others need not make a predictor
-        if np.isfinite(problem.evaluated(begin).cost):
-            break
-        begin = replace(begin, noise=fewer.moved(fewer.sections, fewer.C, 0.5 * begin.noise.K))
-    return _followed(problem, begin, steps=_STEPS)
-
-
-def _followed(*begin: Any, **options: Any) -> Minimum:
-    """The minimum from a start; an interruption ends all that was to come of it."""
-    minimum = minimise(*begin, **options)
-    if minimum.interrupted:
-        raise KeyboardInterrupt
-    return minimum
+    # the gains of others need not make a predictor
+    noise = noise.that_forgets(best.evaluation.covariance)
+    return followed(problem, InnovationsModel(noise, driven.shared, tuple(driven.own)), _ROUGH, _STEPS)
 
 
 def replace_colour(problem: Problem, coloured: bool) -> Problem:
@@ -536,21 +592,13 @@ def _score(evaluation: LikelihoodEvaluation, *, allowing: bool) -> float:
     record begins leave errors that look as if noise came through modes that last as long as the record.
     """
     noise = evaluation.point.noise
-    gram, gradient = evaluation.normal
-    first = len(noise.sections.x)
-    gains = np.arange(first + noise.C.size, first + noise.C.size + noise.K.size)
-    others = np.setdiff1d(np.arange(len(gram)), np.arange(first, gains[-1] + 1))
-    lengths = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
-    gram, gradient = gram / np.outer(lengths, lengths), gradient / lengths
-    among = np.linalg.pinv(gram[np.ix_(others, others)], rcond=1e-12, hermitian=True)
-    # where others are not at their best among themselves, that is no sign of forces
-    moved = among @ gram[np.ix_(others, gains)]
-    inner = gram[np.ix_(gains, gains)] - gram[np.ix_(gains, others)] @ moved
-    slope = gradient[gains] - moved.T @ gradient[others]
-    if allowing:
-        expected = evaluation.expected_slope_of_gains(others, among / np.outer(lengths[others], lengths[others]))
-        slope -= expected.ravel() / lengths[gains]
-    return float(slope @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ slope)
+    first, end = len(noise.x) + noise.C.size, evaluation.problem.numbers_before_shared(noise)
+    others = np.append(np.arange(len(noise.x)), np.arange(end, len(evaluation.normal[1])))
+
+    def chance(among: Array) -> Array:
+        return evaluation.expected_slope_of_gains(others, among).ravel()
+
+    return evaluation.promised(np.arange(first, end), others, chance if allowing else None)
 
 
 def _is_likelier(before: float, after: float, more: int) -> bool:
