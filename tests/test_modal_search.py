@@ -300,8 +300,10 @@ def test_its_modes_neither_grow_nor_are_a_drift(measured):
     z = loadmat(measured / "CD_player_arm_dat.mat")["CD_player_arm_dat"].T
     z = z[:, :1000]
     fit = fitted((z[:1], z[2:3]))
-    assert np.all(fit.damping_ratios > -0.06) and np.all(fit.damping_ratios < 0.7)
+    assert np.all(fit.damping_ratios > -0.06)
     assert fit.natural_frequencies[0] > 2 * np.pi / z.shape[1]
+    broad = fit.damping_ratios > 0.7
+    assert np.all(fit.natural_frequencies[broad] > 20 * 2 * np.pi / z.shape[1])
     # the arm is not quite linear, and held by a controller: which of the weak modes are found depends on rounding
     assert 3 <= fit.order <= 12 and fit.fit_percent > 70
 
