@@ -62,19 +62,26 @@ def test_prediction_errors_in_bins_are_those_of_the_kalman_filter():
     np.testing.assert_allclose(own @ own.T / 501, S, rtol=0.5, atol=0.2 * np.abs(S).max())
 
 
+def slopes_by_differences(problem, point):
+    """Half the derivatives of the cost by all numbers, which the gradient is, from central differences."""
+    x = problem.vector(point)
+    differences = np.zeros(len(x))
+    for j in range(len(x)):
+        change = np.zeros(len(x))
+        change[j] = 1e-6 * max(abs(x[j]), 1e-2)
+        up, down = (problem.evaluated(problem.point(x + s * change, point)).cost for s in (1, -1))
+        differences[j] = 0.25 * (up - down) / change[j]
+    return differences
+
+
 @pytest.mark.parametrize("real_shapes", [False, True])
 def test_the_gradient_is_that_of_the_likelihood(real_shapes):
     problem, noise = problem_at_truth(ambient(2, 400), real_shapes)
     noise = noise.of_real_shapes() if real_shapes else noise
     point = InnovationsModel(noise, np.zeros((0, 3)), (), (np.zeros(6),))
     gram, gradient = problem.evaluated(point).normal
-    x, differences = problem.vector(point), np.zeros(len(gradient))
-    for j in range(len(x)):
-        change = np.zeros(len(x))
-        change[j] = 1e-6 * max(abs(x[j]), 1e-2)
-        up, down = (problem.evaluated(problem.point(x + s * change, point)).cost for s in (1, -1))
-        differences[j] = 0.25 * (up - down) / change[j]
-    held = np.zeros(len(x), bool)
+    differences = slopes_by_differences(problem, point)
+    held = np.zeros(len(gradient), bool)
     if real_shapes:
         held[6:24].reshape(3, 6)[:, 1::2] = True  # what outputs see of the second states
         assert not gradient[held].any() and not gram[held].any()
@@ -106,12 +113,7 @@ def test_a_lag_before_the_noise_colours_the_innovations_and_has_the_gradient_of_
     assert longer.unknowns == noise.unknowns + 6
     point = InnovationsModel(longer, np.zeros((0, 3)), (), (np.zeros(7),))
     gram, gradient = problem.evaluated(point).normal
-    x, differences = problem.vector(point), np.zeros(len(gradient))
-    for j in range(len(x)):
-        change = np.zeros(len(x))
-        change[j] = 1e-6 * max(abs(x[j]), 1e-2)
-        up, down = (problem.evaluated(problem.point(x + s * change, point)).cost for s in (1, -1))
-        differences[j] = 0.25 * (up - down) / change[j]
+    differences = slopes_by_differences(problem, point)
     lengths = np.sqrt(np.diag(gram))
     np.testing.assert_allclose(gradient / lengths, differences / lengths, atol=2e-4)
 

@@ -414,7 +414,8 @@ def _of_undriven_lag(best: Minimum) -> Minimum:
     if not (k and len(noise.sections.rates)):
         return best
     sections = Sections.from_coordinates(noise.sections.x[: 2 * k])
-    undriven = _driven_anew(best, replace(noise, sections=sections, lags=noise.rates))
+    nearly = _driven_anew(best, replace(noise, sections=sections, lags=noise.rates)).evaluation
+    undriven = followed(nearly.problem, nearly.point, steps=_STEPS)
     return undriven if undriven.evaluation.bic < best.evaluation.bic else best
 
 

@@ -261,7 +261,8 @@ class NoiseSections:
     def with_lag(self, rate: float, shape: Array, gain: Array) -> NoiseSections:
         """The model with a lag more, before what there is: innovations are `e = (1 + shape gain^T / (z - a)) e'`."""
         a = np.exp(-rate * self.step)
-        moved = np.linalg.solve(self.A - a * np.eye(self.states), self.K @ shape)
+        # in a pole of the plant itself, as near to it as there is
+        moved = np.linalg.lstsq(self.A - a * np.eye(self.states), self.K @ shape, rcond=None)[0]
         C = np.column_stack([self.C, shape - self.C @ moved])
         K = np.concatenate([self.K + np.outer(moved, gain), gain[None]])
         return replace(self, C=C, K=K, lags=np.append(self.lags, rate))
