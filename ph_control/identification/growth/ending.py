@@ -46,13 +46,12 @@ def end_of_search(
             if beside is not None:
                 return end_of_search(beside, start, most, automatic, channels, either_hold=either_hold)
         fit = finished(path, path.best, channels, automatic, refined=refined)
-        if not (either_hold and isinstance(path.plain, Records) and fit.states and fit.projection.inputs):
+        if not either_hold:
             return fit
-        held_otherwise = cache(partial(_held_otherwise, path, fit, path.best, path.plain, channels, automatic, refined))
-        fit = replace(fit, held_otherwise=held_otherwise)
-        if fit.projection.fed is not None and not fit.projection.fed.any():
+        fit = with_other_hold(path, fit, path.best, channels, automatic, refined)
+        if fit.held_otherwise is None or (fit.projection.fed is not None and not fit.projection.fed.any()):
             return fit
-        rival = held_otherwise()
+        rival = fit.held_otherwise()
     except KeyboardInterrupt:
         if fit is not None:
             return replace(fit, interrupted=True, held_otherwise=None)
@@ -62,6 +61,16 @@ def end_of_search(
     if fit.criteria.bic - rival.criteria.bic > 2 * TUNING.sure:
         return replace(rival, held_otherwise=cache(lambda: fit))
     return fit
+
+
+def with_other_hold(
+    path: FreePath, fit: FreeFit, model: FreeModel, channels: Sequence[Any], automatic: bool, refined: bool = True
+) -> FreeFit:  # fmt: skip
+    """Return a finished fit with what makes that under the other hold of the inputs, if records have any."""
+    if not (isinstance(path.plain, Records) and fit.states and fit.projection.inputs):
+        return fit
+    made = cache(partial(_held_otherwise, path, fit, model, path.plain, channels, automatic, refined))
+    return replace(fit, held_otherwise=made)
 
 
 def _held_otherwise(

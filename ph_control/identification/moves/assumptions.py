@@ -10,7 +10,7 @@ import numpy as np
 from ..._options import Discretisation, Interpolation, InterpolationOrAuto
 from ..._types import Array, ComplexArray
 from ..data.channels import Recording
-from ..growth.ending import end_of_search, finished
+from ..growth.ending import end_of_search, finished, with_other_hold
 from ..growth.growing import joined
 from ..regression.free import Lateness
 from ..regression.time_rows import FreeRecord
@@ -199,6 +199,8 @@ class Search:
                 model = path.model(start)
                 model = path.in_its_noise(model) if fit.noise else model
                 again = finished(path, model, fit.channels, self.automatic)
+                if self.held is None:
+                    again = with_other_hold(path, again, model, fit.channels, self.automatic)
             if again.interrupted:
                 raise KeyboardInterrupt
             return again.with_delay_open(fit.delay_open)

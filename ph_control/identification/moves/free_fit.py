@@ -144,7 +144,7 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
         return forced
     open_delay = assumptions.delay is None and may_be_late(forced)
     if forced.beside is not None and forced.beside.is_coloured:
-        forced = beside_forces_and_more(forced, fit, in_noise, search, may_be_late=open_delay)
+        forced = beside_forces_and_more(forced, fit, search, may_be_late=open_delay)
         if slow is not None:
             return _or_late(forced, slow, search)
         # modes are told from forces, which may stand for lags that come late

@@ -134,17 +134,13 @@ def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) ->
     return None
 
 
-def beside_forces_and_more(
-    forced: FreeFit, fit: FreeFit, in_noise: InNoise, search: Search, *, may_be_late: bool
-) -> FreeFit:
+def beside_forces_and_more(forced: FreeFit, fit: FreeFit, search: Search, *, may_be_late: bool) -> FreeFit:
     """Return a fit beside forces with the delay and the drifts that make it likelier.
 
     Parameters
     ----------
     forced, fit : FreeFit
         Fits beside forces, and in white noise.
-    in_noise : callable
-        Makes the first of the second.
     search : Search
         What is left to the data.
     may_be_late : bool
@@ -157,10 +153,10 @@ def beside_forces_and_more(
         samples = predicted_delay(records, len(fit.scales), felt)[0] if may_be_late else 0
         if samples:
             delay = np.full(len(fit.scales), samples * fit.channels[0].dt)
-            late = _in_other_rows(best, fit, replace(fit.lateness, outputs=delay), fit.offset, in_noise, search)
+            late = _in_other_rows(best, fit, replace(fit.lateness, outputs=delay), fit.offset, search)
             best = best if late is None else replace(late, delay_gain=0.5 * _gain(best, late))
         if search.assumptions.drifting and may_drift(best):
-            drifting = _in_other_rows(best, fit, best.lateness, 2, in_noise, search)
+            drifting = _in_other_rows(best, fit, best.lateness, 2, search)
             if drifting is not None:
                 drift = drift_of(drifting, 0.5 * _gain(best, drifting))
                 best = replace(drifting, findings=(*drifting.findings, drift), delay_gain=best.delay_gain)
@@ -169,12 +165,10 @@ def beside_forces_and_more(
     return with_constants(best) if search.assumptions.drifting else best
 
 
-def _in_other_rows(
-    best: FreeFit, fit: FreeFit, late: Lateness, offset: int, in_noise: InNoise, search: Search
-) -> FreeFit | None:
-    """Return a fit with another delay or drift, beside forces if they remain, if that is far likelier."""
+def _in_other_rows(best: FreeFit, fit: FreeFit, late: Lateness, offset: int, search: Search) -> FreeFit | None:
+    """Return a fit of the same poles with another delay or drift, beside forces if they remain, if far likelier."""
     p = best.projection.p[~are_slow(best)] if offset > 1 else best.projection.p
-    again = in_noise(search.anew(fit)(late, offset, p))
+    again = search.assumptions.beside(search.anew(fit)(late, offset, p), orders=Orders())
     if again.interrupted:
         raise KeyboardInterrupt
     return again if _gain(best, again) > 2 * TUNING.sure else None

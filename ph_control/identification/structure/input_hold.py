@@ -24,9 +24,15 @@ def under_either_hold(first: Choice, request: Request) -> Choice:
     gain = best.gain(first)
     if best is first:
         gain = 0.5 * (first.free.rival.criteria.bic - first.free.criteria.bic)
-    hold = Finding(Cause.HOLD, (float(HOLDS.index("foh")),), float(gain))
-    others = (finding for finding in best.free.findings if finding.cause is not Cause.HOLD)
-    return replace(best, free=replace(best.free, findings=(*others, hold)))
+    return with_finding(best, gain)
+
+
+def with_finding(best: Choice, gain: float) -> Choice:
+    """The same that says, of an input that is not held, by how much that is likelier."""
+    others = tuple(finding for finding in best.free.findings if finding.cause is not Cause.HOLD)
+    held = best.free.intersample == "zoh"
+    hold = () if held else (Finding(Cause.HOLD, (float(HOLDS.index("foh")),), float(gain)),)
+    return replace(best, free=replace(best.free, findings=(*others, *hold)))
 
 
 def _under_likelier_hold(first: Choice, request: Request) -> Choice:

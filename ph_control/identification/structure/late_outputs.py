@@ -15,7 +15,7 @@ from ..search.fitted_modes import FreeFit
 from .choice import Choice, Request, layout_of
 from .constrained import StructuredFit, constrained
 from .delayed import with_delays
-from .input_hold import under_either_hold
+from .input_hold import under_either_hold, with_finding
 
 _SEEN = 2.0  # standard errors by which delays that a structure needs differ from 0
 _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it
@@ -44,8 +44,21 @@ def with_late_outputs(
         return _refined(best, best.fit.hypothesis, request)
     chosen = _likelier_with_delays(best, other, request, with_delay)
     if chosen is None and late and best.fit.structure == "free":
-        return _refined_either(best, request)
+        return _or_held_otherwise(_refined_either(best, request), other(), request)
     return chosen or best
+
+
+def _or_held_otherwise(best: Choice, rival: FreeFit | None, request: Request) -> Choice:
+    """The same with the inputs held otherwise, where that is likelier with its own delays: of whole ones both may be.
+
+    A lag that follows a held input looks like one that follows a linear input, and is later by a part of a sample.
+    """
+    if rival is None or not rival.delay.any():
+        return best
+    rival = replace(rival, findings=best.free.findings, delay_gain=best.free.delay_gain)
+    otherwise = _refined_either(Choice.of(rival, request), request)
+    gain = otherwise.gain(best)
+    return with_finding(otherwise, gain) if gain > TUNING.sure else best
 
 
 def _likelier_with_delays(
