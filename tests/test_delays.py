@@ -212,16 +212,19 @@ def test_modes_that_come_later_than_the_past_of_predictors_are_no_more_modes(lat
 
 
 @pytest.mark.parametrize("seed", [0, *slowly(1, 2)])
-def test_the_hold_of_an_input_is_told_together_with_its_delay(seed):
-    # in whole samples a mode that is late by 2.4 has the same likelihood under either hold
-    rng, times = np.random.default_rng(seed), np.arange(1500 * FINE) / FINE
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_the_hold_of_an_input_is_told_together_with_its_delay(hold, seed):
+    # in whole samples a mode that is late by 2.4 has the same likelihood under either hold, with something fed through
+    rng, times = np.random.default_rng(seed), np.arange(1500 * FINE) / FINE - 2.4
     u = np.repeat(rng.choice([-1.0, 1.0], 300), 5) + 0.2 * rng.standard_normal(1500)
     p = -0.4 + 0.1j
     z = np.exp(p / FINE)
-    driven = lfilter([0, (z - 1) / p], [1, -z], np.interp(times - 2.4, np.arange(1500), u) + 0j)
-    y = ((0.2 - 1.7j) * driven).real[::FINE]
+    held = u[np.clip(np.floor(times + 1e-9).astype(int), 0, None)]
+    fine = held if hold == "zoh" else np.interp(times, np.arange(1500), u)
+    y = ((0.2 - 1.7j) * lfilter([0, (z - 1) / p], [1, -z], fine + 0j)).real[::FINE]
     result = phc.pem((u, y + 0.01 * np.std(y) * rng.standard_normal(1500)), dt=1.0)
-    assert result.intersample == "foh" and "HOLD" in [finding.cause.name for finding in result.findings]
+    assert (result.intersample, result.structure) == (hold, "free")
+    assert ("HOLD" in [finding.cause.name for finding in result.findings]) == (hold == "foh")
     assert abs(result.delay[0] - 2.4) < 0.05 and abs(result.poles[0] - p) < 0.01
 
 

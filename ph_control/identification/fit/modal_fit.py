@@ -26,8 +26,7 @@ from ..search.fitted_modes import FreeFit
 from ..search.progress import reporter
 from ..structure.choice import Choice, Request
 from ..structure.hypothesis_tests import is_refused
-from ..structure.input_hold import under_either_hold
-from ..structure.late_outputs import WithDelay, with_late_outputs
+from ..structure.late_outputs import WithDelay, under_hold_and_delays
 from ..uncertainty.residual_tests import is_white
 from .judged_result import judged
 from .options import Options
@@ -206,8 +205,7 @@ def _chosen(
         cut = Choice.of(replace(free, interrupted=True), request)
         return None, judged(cut, request, (*findings, *free.findings))
     try:
-        best = under_either_hold(best, request)
-        best = with_late_outputs(best, lambda: free.rival if best.free is free else free, request, with_delay)
+        best = under_hold_and_delays(best, request, with_delay)
         return best, judged(best, request, _beside(findings, best.free))
     except KeyboardInterrupt:
         return None, cut_short(judged(best, request, _beside(findings, best.free)))

@@ -32,8 +32,8 @@ def chosen(path: FreePath, start: ComplexArray, most: int, automatic: bool) -> F
 
 
 def _coloured(path: FreePath, model: FreeModel) -> bool:
-    """Whether the criterion prefers coloured noise, of records in which something acts all along."""
-    driven = isinstance(path.plain, Records) and all(
+    """Whether the criterion prefers coloured noise, where something acts all along; spans of a record may be idle."""
+    driven = isinstance(path.plain, Records) and any(
         record.inputs and not is_short(record) for record in path.plain.data
     )
     return driven and bool(path.noise_filters(model)) and not np.any(model.losses <= path.floors)

@@ -89,6 +89,8 @@ def with_delays(
     if settled and np.ptp(now) == 0 and len(now) > 1:
         starts.append(Delays(_outputs_of(layout), now[np.unique(_outputs_of(layout), return_index=True)[1]]))
     through = [fed] + [projection.fed_through] * bool(np.any(projection.fed_through & ~fed))
+    if settled and len(through) > 1:  # what a part of a sample earlier is fed through is not
+        starts += [Delays(each.groups, each.values - 0.5 * np.pi / region.ceiling) for each in starts]
     light = np.abs(projection.p.real) < _BROAD * np.abs(projection.p)
     poles = [projection.p] + [projection.p[light]] * bool(light.any() and not light.all() and not settled)
     masks = through if projection.has_feedthrough else [None]

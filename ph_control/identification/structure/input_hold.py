@@ -13,7 +13,7 @@ from ..search.findings import HOLDS, Cause, Finding
 from ..search.fitted_modes import FreeFit
 from .choice import Choice, Request, tested
 
-_SAME = 1.0  # difference of the BIC of models that are the same
+SAME = 1.0  # difference of the BIC of models that are the same
 
 
 def under_either_hold(first: Choice, request: Request) -> Choice:
@@ -70,6 +70,6 @@ def _is_rather_held_as(
     With what is fed through they are the same model, and only shapes tell them apart.
     """
     preferred = free.criteria.bic - rival.criteria.bic
-    if abs(preferred) > _SAME:
+    if abs(preferred) > SAME:
         return preferred > 0
     return _bic_of("classical", free, free_tests) - _bic_of("classical", rival, tests) > 2 * TUNING.sure

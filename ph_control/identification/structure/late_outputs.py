@@ -15,7 +15,7 @@ from ..search.fitted_modes import FreeFit
 from .choice import Choice, Request, layout_of
 from .constrained import StructuredFit, constrained
 from .delayed import with_delays
-from .input_hold import under_either_hold, with_finding
+from .input_hold import SAME, under_either_hold, with_finding
 
 _SEEN = 2.0  # standard errors by which delays that a structure needs differ from 0
 _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it
@@ -23,50 +23,65 @@ _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays 
 WithDelay = Callable[[Lateness], FreeFit]  # searches in rows with these delays
 
 
-def with_late_outputs(
-    best: Choice, other: Callable[[], FreeFit | None], request: Request, with_delay: WithDelay | None
-) -> Choice:
-    """The structure with delays of the outputs, where these explain more; those of whole samples are refined.
+def under_hold_and_delays(first: Choice, request: Request, with_delay: WithDelay | None) -> Choice:
+    """The structure under the likelier hold of the inputs, with delays of the outputs where these explain more.
 
-    `other` makes the fit with the inputs held otherwise.
+    Delays of whole samples are refined, under either hold: a lag that follows a held input looks like one that follows
+    a linear input, and is later by a part of a sample.
     """
-    free = best.free
+    free = first.free
     late = bool(free.delay.any())
     # without modes no structure shows a delay, but lags tell where within a sample one lies
-    if not (free.delay_open and (free.order or late) and free.projection.inputs) or free.interrupted:
+    delay_open = free.delay_open and (free.order or late) and free.projection.inputs and not free.interrupted
+    if not delay_open or request.function is not None or request.structure == "passive":
+        return under_either_hold(first, request)
+    if late:
+        return _under_likelier_hold(first, request, lambda choice: _with_own_delays(choice, request, with_delay))
+    best = under_either_hold(first, request)
+    if best.stands(request):
         return best
-    stands = best.stands(request)
-    if request.function is not None:
-        return best
-    if request.structure == "passive" or (stands and not late):
-        return best
-    if stands:
-        return _refined(best, best.fit.hypothesis, request)
-    chosen = _likelier_with_delays(best, other, request, with_delay)
-    if chosen is None and late and best.fit.structure == "free":
-        return _or_held_otherwise(_refined_either(best, request), other(), request)
-    return chosen or best
+    return _likelier_with_delays(best, free.rival if best is first else free, request, with_delay) or best
 
 
-def _or_held_otherwise(best: Choice, rival: FreeFit | None, request: Request) -> Choice:
-    """The same with the inputs held otherwise, where that is likelier with its own delays: of whole ones both may be.
+def _under_likelier_hold(first: Choice, request: Request, refined: Callable[[Choice], Choice]) -> Choice:
+    """The structure with refined delays under the likelier hold, or the constant one where they are nearly the same."""
+    rival = first.free.rival
+    if rival is None:
+        return refined(first)
+    rival = replace(rival, findings=first.free.findings, delay_gain=first.free.delay_gain)
+    pair = [refined(choice) for choice in (first, Choice.of(rival, request))]
+    held, linear = pair if first.free.intersample == "zoh" else pair[::-1]
+    gain = linear.gain(held)
+    return with_finding(linear if 2 * gain > SAME else held, gain)
 
-    A lag that follows a held input looks like one that follows a linear input, and is later by a part of a sample.
+
+def _with_own_delays(late: Choice, request: Request, with_delay: WithDelay | None) -> Choice:
+    """The structure in late rows, with other delays where these explain more, or its own refined.
+
+    What is fed through after whole samples may be no more than a part of a sample.
     """
-    if rival is None or not rival.delay.any():
-        return best
-    rival = replace(rival, findings=best.free.findings, delay_gain=best.free.delay_gain)
-    otherwise = _refined_either(Choice.of(rival, request), request)
-    gain = otherwise.gain(best)
-    return with_finding(otherwise, gain) if gain > TUNING.sure else best
+    stands = late.stands(request)
+    chosen = None if stands else _likelier_with_delays(late, None, request, with_delay)
+    if chosen is not None:
+        return chosen
+    if late.fit.structure == "free":
+        return _refined_either(late, request)
+    own = _refined(late, late.fit.hypothesis, request) if stands else late
+    fed = late.free.projection.fed
+    if request.structure != "auto" or fed is None or not np.any(fed & ~_felt(late.free, request)):
+        return own
+    return min((own, _refined(_freely(late, request), "free", request)), key=Choice.cost)
 
 
 def _likelier_with_delays(
-    best: Choice, other: Callable[[], FreeFit | None], request: Request, with_delay: WithDelay | None
+    best: Choice, other: FreeFit | None, request: Request, with_delay: WithDelay | None
 ) -> Choice | None:
-    """The structure with delays, where these explain more than the best without; None where they do not."""
+    """The structure with delays, where these explain more than the best without; None where they do not.
+
+    `other` is the fit under the other hold, if that is open.
+    """
     hypothesis = "classical" if request.structure == "auto" else request.structure
-    trials = [_delayed(fit, best, hypothesis, request, False) for fit in (best.free, other()) if fit is not None]
+    trials = [_delayed(fit, best, hypothesis, request, False) for fit in (best.free, other) if fit is not None]
     trial = min((candidate for candidate in trials if candidate is not None), key=Choice.cost, default=None)
     if trial is None:
         return None
@@ -115,10 +130,14 @@ def _explains(trial: Choice, best: Choice) -> bool:
 
 def _in_rows_of(free: FreeFit, request: Request) -> Choice:
     """The structure in rows with delays, which are refined with it."""
-    first = under_either_hold(Choice.of(free, request), request)
-    if first.stands(request) or request.structure != "auto":
-        return _refined(first, first.fit.hypothesis, request)
-    return _refined_either(first, request)
+
+    def refined(choice: Choice) -> Choice:
+        """Return a choice with its delays refined, those of its structure where this stands or is given."""
+        if choice.stands(request) or request.structure != "auto":
+            return _refined(choice, choice.fit.hypothesis, request)
+        return _refined_either(choice, request)
+
+    return _under_likelier_hold(Choice.of(free, request), request, refined)
 
 
 def _refined_either(best: Choice, request: Request) -> Choice:
