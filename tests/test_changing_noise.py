@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from slow import slowly
 
 import ph_control as phc
 
@@ -147,3 +148,15 @@ def test_missing_samples_and_a_delay_go_with_changing_noise():
     assert {"CHANGING_NOISE", "DELAY"} <= names
     assert abs(result.delay[0] - late * STEP) < 0.3 * STEP
     np.testing.assert_allclose(result.natural_frequencies, np.abs(POLES), atol=4e-3)
+
+
+@pytest.mark.parametrize("seed", [2, *slowly(0, 7)])
+def test_noise_is_coloured_in_spans_in_which_little_goes_on(seed):
+    rng, k = np.random.default_rng(seed), np.arange(600)
+    u = np.where((k > 20) & (k < 300), np.repeat(rng.choice([-1.0, 1.0], 60), 10), 0.0)
+    u[340:350] = 1.0
+    y = lfilter([0.0, 1 - np.exp(-1 / 8)], [1.0, -np.exp(-1 / 8)], u)
+    y += np.where(k < 330, 0.03, 0.18) * lfilter([1.0], [1.0, -0.9], rng.standard_normal(600))
+    result = phc.pem((u, y), dt=1.0, quantity="free")
+    assert changes_in(result) and result.noise.orders[0] > 0 and result.states == 1
+    assert abs(result.time_constants[0] - 8) < 3 * result.stderr["time_constants"][0] < 1.0

@@ -76,7 +76,7 @@ def beside_disturbances(
         if beside is not None and (certain or beside.is_coloured):
             return latest
         # loud samples are few, which makes outputs look correlated
-        return _beside_changing_noise(latest, search)
+        return _beside_changing_noise(latest, search, refine)
     except KeyboardInterrupt:
         return latest.cut
 
@@ -157,8 +157,19 @@ def _beside_unequal_noise(alone: Searched, search: Search) -> Searched:
     return replace(latest, findings=(*alone.findings, Finding(Cause.UNEQUAL_NOISE, units, gain)))
 
 
-def _beside_changing_noise(alone: Searched, search: Search) -> Searched:
-    """The fit where each sample counts by the level of the noise in its span, where that is likelier."""
+def _beside_changing_noise(alone: Searched, search: Search, refine: Refine) -> Searched:
+    """The fit where each sample counts by the level of the noise in its span, where that is likelier.
+
+    So it has to be with the poles that there are before others are looked for.
+    """
+    channels = _in_their_levels(alone)
+    if channels is None:
+        return alone
+    again = refine(channels, alone, alone.free.projection.p)
+    if again.free.interrupted:
+        return alone.cut
+    if again.bic >= alone.bic:
+        return alone
     latest = _settled(alone, search, _in_their_levels)
     if latest is alone or latest.free.interrupted:
         return latest
