@@ -167,3 +167,20 @@ def test_modes_beside_autoregressive_noise_have_errors_that_hold():
         scores += ((result.damping_ratios + poles.real / np.abs(poles)) / result.stderr["damping_ratios"]).tolist()
     low, high = chi2.ppf([1e-3, 1 - 1e-3], len(scores))
     assert low < np.sum(np.square(scores)) < high
+
+
+@pytest.mark.slow
+def test_slow_poles_of_a_search_in_white_noise_do_not_take_the_level_of_an_output():
+    rng, samples = np.random.default_rng([0, 7]), 1250
+    switches = np.cumsum(rng.random((5, 2 * samples)) < 1 / 30, axis=1) + rng.integers(0, 2, (5, 1))
+    u = np.where(switches % 2, 1.0, -1.0)
+    lags, late, gains = (30.0, 12.0, 30.0, 6.0, 12.0), (0, 3, 7, 1, 12), (1.0, -0.6, 0.5, 0.8, -0.4)
+    x = sum(
+        gain * chained(each, (np.exp(-1 / lag),), dead)
+        for gain, each, lag, dead in zip(gains, u, lags, late, strict=True)
+    )
+    load = lfilter([0.5 * x.std() * np.sqrt(1 - 0.95**2)], [1.0, -0.95], rng.standard_normal(2 * samples))
+    result = phc.pem((u[:, :samples], (5 + x + load)[:samples]), dt=1.0, quantity="free", input_delay=late)
+    assert abs(np.ravel(result.offsets)[0] - 5) < 0.5 and "CONSTANT" in [
+        finding.cause.name for finding in result.findings
+    ]

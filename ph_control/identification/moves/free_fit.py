@@ -139,7 +139,7 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
     fit, forced, in_noise = _in_white_noise_and_beside(channels, search, path, start)
     slow: FreeFit | None = None
     if not forced.interrupted:
-        fit, forced, slow = _or_in_own_noise(fit, forced, path, search)
+        fit, forced, slow = _or_in_own_noise(fit, forced, search)
     if forced.interrupted:
         return forced
     open_delay = assumptions.delay is None and may_be_late(forced)
@@ -213,9 +213,7 @@ def _in_white_noise_and_beside(
     return begun.fit, begun.forced, in_noise
 
 
-def _or_in_own_noise(
-    fit: FreeFit, forced: FreeFit, path: FreePath, search: Search
-) -> tuple[FreeFit, FreeFit, FreeFit | None]:
+def _or_in_own_noise(fit: FreeFit, forced: FreeFit, search: Search) -> tuple[FreeFit, FreeFit, FreeFit | None]:
     """Return both fits in the noise of each output that the errors of the latter show, if that is likelier.
 
     Beside them that in such noise, where it may yet be likelier with a delay.
@@ -225,14 +223,14 @@ def _or_in_own_noise(
     if forced.own_likelier:
         if not search.automatic or fit.noise:
             return fit, forced, None
-        slow = _in_slow_noise(fit, forced.own_noise, path, search)
+        slow = _in_slow_noise(fit, forced.own_noise, search)
         better = slow.interrupted or forced.beside is None or slow.criteria.bic < forced.criteria.bic
         return (slow, slow, None) if better else (fit, forced, slow)
     coloured = likelier_in_own_noise(forced, search) if forced.beside and forced.beside.is_coloured else None
     return (fit, forced, None) if coloured is None else (coloured, coloured, None)
 
 
-def _in_slow_noise(fit: FreeFit, filters: tuple[Array, ...], path: FreePath, search: Search) -> FreeFit:
+def _in_slow_noise(fit: FreeFit, filters: tuple[Array, ...], search: Search) -> FreeFit:
     """Return the fit in coloured noise of each output, or beside the drift that looks like it, if likelier."""
     drifting = fit
     if search.assumptions.drifting:
@@ -240,7 +238,7 @@ def _in_slow_noise(fit: FreeFit, filters: tuple[Array, ...], path: FreePath, sea
             drifting = beside_drift(fit, search.anew(fit))
         except KeyboardInterrupt:
             return replace(fit, interrupted=True)
-    coloured = in_own_noise(fit, filters, path, search)
+    coloured = in_own_noise(fit, filters, search)
     return drifting if drifting.criteria.bic < coloured.criteria.bic and not coloured.interrupted else coloured
 
 

@@ -39,10 +39,13 @@ def from_peaks(fit: FreeFit, path: FreePath, search: Search) -> FreeFit:
     return other if other.criteria.bic < fit.criteria.bic else fit
 
 
-def in_own_noise(fit: FreeFit, filters: tuple[Array, ...], path: FreePath, search: Search) -> FreeFit:
-    """Fit modes that grow together with coloured noise of each output, if that is likelier."""
+def in_own_noise(fit: FreeFit, filters: tuple[Array, ...], search: Search) -> FreeFit:
+    """Fit modes that grow together with coloured noise of each output, if that is likelier.
+
+    Beside constants: in white noise slow poles may have stood for them.
+    """
+    path = search.path(fit.channels)
     path.whiten(filters, path.power)
-    path.best = None
     again = search.along(path, fit.channels)
     return again if again.interrupted or again.criteria.bic < fit.criteria.bic else fit
 
