@@ -273,13 +273,14 @@ def test_forces_are_found_where_white_noise_tells_little_of_the_plant(seed, plan
     assert missed(result, u, clean) < most
 
 
+@pytest.mark.slow
 def test_a_structure_that_is_not_rejected_predicts_as_well_as_free_residues():
     u, y, clean = shaken(22, inputs=2, outputs=2)
     result = phc.pem((u, y), dt=1.0)
     assert missed(result, u, clean) < 0.5
 
 
-@pytest.mark.parametrize("seed", [222, 235, 255])
+@pytest.mark.parametrize("seed", [222, *slowly(235, 255)])
 def test_the_colour_of_a_force_is_neither_a_lag_nor_a_mode_of_the_plant(seed):
     u, y, _ = shaken(seed, modes=1, lags=1, outputs=2)
     result = phc.pem((u, y), dt=1.0)
@@ -294,6 +295,7 @@ def test_noise_with_nothing_at_frequency_zero_leaves_errors_that_hold():
     assert result.stderr["natural_frequencies"].max() < 0.01
 
 
+@pytest.mark.slow
 def test_poles_that_stand_for_coloured_noise_do_not_grow():
     u, y, _ = shaken(9)
     assert phc.pem((u, y), dt=1.0).poles.real.max() * len(u) < 1.0

@@ -65,7 +65,7 @@ def test_dead_times_of_inputs_are_found_with_the_plant(fit):
 @pytest.mark.parametrize(
     ("data", "options"),
     [
-        ({"samples": 420, "outputs": 2, "noise": 0.05}, {"order": 0, "real_poles": 2}),
+        ({"samples": 300, "outputs": 2, "noise": 0.05}, {"order": 0, "real_poles": 2}),
         *slowly(({"samples": 1400, "colour": 0.9, "noise": 0.3}, {})),
     ],
 )

@@ -252,24 +252,23 @@ def test_a_store_that_is_a_file_is_refused(files):
 
 
 def read_or_die(path):
-    """Read a recording; of some, the process that does so first is killed, of one, each."""
+    """Read a recording; of one, the process that does so first is killed, of another, each."""
     mark = path.with_suffix(".mark")
-    if path.stem == "04" or (path.stem in ("01", "09") and not mark.exists()):
+    if path.stem == "04" or (path.stem == "01" and not mark.exists()):
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return phc.read_csv(path)
 
 
 def test_a_killed_process_is_replaced_and_loses_nothing(files, tmp_path):
-    files += [write(tmp_path / f"{k:02d}.csv", k) for k in range(6, 12)]
     store = tmp_path / "results"
     fits = phc.fit_many(files, reader=read_or_die, workers=2, store=store, **OPTIONS)
-    assert fits.table["recording"].tolist() == list(range(12))
+    assert fits.table["recording"].tolist() == list(range(6))
     assert fits.failures["recording"].tolist() == [2, 4] and "died" in fits.failures["message"][1]
     here = phc.fit_many(files, **OPTIONS)
-    well = np.delete(np.arange(12), [2, 4])
+    well = np.delete(np.arange(6), [2, 4])
     assert fits.table["hertz"][well].tolist() == here.table["hertz"][well].tolist()
-    assert {one.suffix for one in store.iterdir()} == {".json"} and len(written(store)) == 10
+    assert {one.suffix for one in store.iterdir()} == {".json"} and len(written(store)) == 4
 
 
 @pytest.mark.slow
