@@ -303,3 +303,61 @@ def test_a_gain_alone_may_come_late(seed):
     result = phc.pem((u, y), dt=1.0)
     assert not len(result.poles) and result.delay[0] == late
     np.testing.assert_allclose(result.feedthrough[0, 0], 0.8, atol=0.3)
+
+
+# --- plants with dead times ------------------------------------------------------------------------------------------
+
+
+def lagging(u, time_constant, late):
+    """Output of a lag of unit gain, at the samples of a held input, after a dead time in samples."""
+    a = np.exp(-1 / time_constant)
+    return lfilter([0.0, 1 - a], [1.0, -a], np.concatenate([np.zeros(late), u[: len(u) - late]]))
+
+
+def switched(seed, samples):
+    rng = np.random.default_rng(seed)
+    return rng, np.repeat(rng.choice([-1.0, 1.0], samples // 8 + 1), 8)[:samples]
+
+
+@pytest.mark.parametrize(
+    ("late", "time_constants"), [((0, 4), (15, 15)), ((5, 2), (15, 15)), *slowly(((3, 1), (15, 6)), ((2, 2), (15, 6)))]
+)
+def test_outputs_with_dead_times_of_their_own_share_lags(late, time_constants):
+    rng, u = switched(0, 400)
+    y = np.array([lagging(u, *pair) for pair in zip(time_constants, late, strict=True)])
+    y += 0.03 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    result = phc.pem((u, y), dt=1.0, quantity="free")
+    assert result.states == len(set(time_constants))
+    np.testing.assert_allclose(result.delay, late, atol=0.2)
+
+
+@pytest.mark.parametrize("lags", [(15,), (15, 5)])
+def test_exact_data_show_a_dead_time_and_nothing_that_is_fed_through(lags):
+    _, u = switched(1, 300)
+    y = u
+    for place, time_constant in enumerate(lags):
+        y = lagging(y, time_constant, 0 if place else 4)
+    result = phc.pem((u, y), dt=1.0, quantity="free")
+    assert result.delay[0] == pytest.approx(3 + len(lags)) and result.intersample == "zoh"
+    np.testing.assert_allclose(np.sort(result.time_constants), sorted(lags))
+    np.testing.assert_array_equal(result.system.D, 0.0)
+
+
+def test_errors_are_those_of_the_noise_beside_the_delay_where_a_search_ended():
+    # and not beside that where it began, a sample later with something that is fed through
+    rng, u = switched(1, 300)
+    y = lagging(u, 15, 4)
+    y += 1e-3 * y.std() * rng.standard_normal(300)
+    result = phc.pem((u, y), dt=1.0, quantity="free")
+    assert result.stderr["time_constants"][0] < 0.01 and result.stderr["delay"][0] < 0.002
+    assert abs(result.time_constants[0] - 15) < 3 * result.stderr["time_constants"][0]
+
+
+def test_phases_of_a_few_lines_are_no_delay():
+    rng, t = np.random.default_rng(0), np.arange(1000)
+    u = sum(np.sin(w * t + rng.uniform(0, 2 * np.pi)) for w in (0.05, 0.15, 0.4, 0.55, 0.9))
+    plant = ct.c2d(ct.tf([0.25], np.polymul([15, 1], [1, 0.1, 0.25])), 1.0, "foh")
+    y = ct.forced_response(plant, None, u).outputs
+    result = phc.pem((u, y + 0.03 * y.std() * rng.standard_normal(1000)), dt=1.0, quantity="free")
+    assert not result.delay.any() and result.states == 3
+    assert abs(result.time_constants[0] - 15) < 4 * result.stderr["time_constants"][0]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from ..._types import Array, ComplexArray, Mask
+from ..._types import Array, ComplexArray, Indices, Mask
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut
 from ..regression.free import FreeProjection, Lateness
@@ -20,7 +20,7 @@ from ..search.fitted_modes import FreeFit
 from ..search.free_search import Records
 from ..search.late_lags import LateLagScan
 from ..search.path import FreePath
-from ..search.predicted_delay import predicted_delay
+from ..search.predicted_delay import of_output, predicted_delays
 from ..uncertainty.residual_tests import ljung_box
 from .assumptions import Anew, Search, rows_as_in
 
@@ -48,29 +48,56 @@ def of_late_lag(channels: Experiments, search: Search) -> FreeFit | None:
         return None
     path = search.path(channels)
     rows = [record for record in path.plain.data if isinstance(record, FreeRecord) and record.driven]
-    scan = LateLagScan.of(rows, len(path.counts))
-    likeliest = scan.likeliest() if scan else None
-    if likeliest is None:
+    samples, gain = _late_lags(rows, len(path.counts))
+    if not samples.any():
         return None
-    samples, gain = likeliest
-    delay = replace(path.lateness, outputs=np.full(len(path.counts), samples * rows[0].hold.h))
+    delay = replace(path.lateness, outputs=np.asarray(samples * rows[0].hold.h, float))
     few = replace(search, most=min(search.most, _FEW))
     fit = few.along(few.path(channels, delay), channels)
     if fit.interrupted:
         return fit
-    lags = fit.states and np.all(are_heavy(fit.projection.p)) and not leaves_traces(fit.projection)
-    return replace(fit, delay_gain=gain) if lags else None
+    lags = fit.states and np.all(are_heavy(fit.projection.p))
+    white = fit.rounding or not leaves_traces(fit.projection)
+    return replace(fit, delay_gain=gain) if lags and white and _is_late(fit, path) else None
+
+
+def _is_late(fit: FreeFit, path: FreePath) -> bool:
+    """Whether the poles of a fit explain less without its delay: of an input of few lines phases may be the same."""
+    on_time = path.model(fit.projection.p)
+    if fit.rounding:
+        return not path.is_exact(on_time)
+    share = path.counts.sum() / fit.projection.rows
+    return fit.criteria.bic * share < path.bic(on_time) - 2 * TUNING.likely
 
 
 def predicted_lateness(channels: Experiments, search: Search) -> tuple[Lateness, float]:
-    """Return the delay of all outputs that predictors show in the first samples, and the log-likelihood it gains."""
+    """Return the delays that predictors show in the first samples, and the log-likelihood that these gain."""
     given, path = search.assumptions, search.path(channels)
     if not isinstance(channels[0], Recording) or given.delay is not None:
         return path.lateness, 0.0
     some = [cut(channel, slice(0, min(channel.samples, _BEGINNING))) for channel in channels]
     records = [record for record in search.path(some).plain.data if isinstance(record, FreeRecord)]
-    samples, gain = predicted_delay(records, len(path.counts), feel_at_once(path))
-    return replace(path.lateness, outputs=np.full(len(path.counts), samples * channels[0].dt)), gain
+    samples, gain = predicted_delays(records, len(path.counts), feel_at_once(path))
+    return replace(path.lateness, outputs=np.asarray(samples * channels[0].dt, float)), gain
+
+
+def _late_lags(records: Sequence[FreeRecord], outputs: int) -> tuple[Indices, float]:
+    """Return the samples by which each output comes late as lags show it, and the log-likelihood that this gains.
+
+    As many for all of them, or as many as each shows alone, if that gains more.
+    """
+
+    def shown(records: Sequence[FreeRecord], outputs: int) -> tuple[int, float]:
+        """Return the samples of all outputs; 0 where lags show none."""
+        scan = LateLagScan.of(records, outputs)
+        return (scan and scan.likeliest()) or (0, 0.0)
+
+    common, gain = shown(records, outputs)
+    own = [shown(of_output(records, output), 1) for output in range(outputs)] if 1 < outputs <= _TOGETHER else []
+    gain_of_own = sum(each for _, each in own)
+    if gain_of_own > gain:
+        return np.array([late for late, _ in own]), gain_of_own
+    return np.full(outputs, common), gain
 
 
 def feel_at_once(path: FreePath) -> bool:
@@ -84,20 +111,20 @@ def of_predicted_delay(channels: Experiments, search: Search, late: Lateness, ga
     """Fit outputs as late as predictors show, which gains so much log-likelihood; None if they show none.
 
     A search without that delay takes modes for it, and is only made where traces are left: the likelier of both then.
-    Of exact data all delays explain all.
     """
     if not gain:
         return None
     fit = search.along(search.path(channels, late), channels)
     if fit.interrupted:
         return fit
-    if not _responds(fit) or fit.rounding:
+    if not _responds(fit):
         return None
-    if leaves_traces(fit.projection):  # as of a delay that is a sample too short
-        try:
-            fit = on_time(fit, search.anew(fit))
-        except KeyboardInterrupt:
-            return replace(fit, interrupted=True)
+    if fit.rounding or not leaves_traces(fit.projection):
+        return replace(fit, delay_gain=gain) if _is_late(fit, search.path(channels)) else None
+    try:  # as of a delay that is a sample too short
+        fit = on_time(fit, search.anew(fit))
+    except KeyboardInterrupt:
+        return replace(fit, interrupted=True)
     if fit.rounding:
         return None
     if leaves_traces(fit.projection):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..._types import Indices
 from ..regression.time_rows import FreeRecord
 from .predictor_states import likeliest, predictors_of, signals_of
 
@@ -31,6 +32,7 @@ class _AfterDelay:
     shown: bool
     idle: int
     nearly_idle: int
+    at_once: bool  # whether inputs foretell all outputs as early as one another
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,11 @@ class _Delays:
     outputs: int
     most: int
     known: dict[int, _AfterDelay | None] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, records: Sequence[FreeRecord], outputs: int) -> _Delays:
+        """Delays of up to a tenth of the shortest record."""
+        return cls(records, outputs, min(min((rows.length for rows in records), default=0) // _SHARE, _LONGEST))
 
     def after(self, samples: int) -> _AfterDelay | None:
         """Delay by some samples; None where records are too short, or there are no such delays."""
@@ -57,9 +64,10 @@ class _Delays:
         count = sum(each.shape[1] for each in signals or ())
         longest, price = predictors[0], float(np.log(count * self.outputs))
         cost, _, best = likeliest(predictors, count, longest.largest)[0]
+        idle, nearly_idle = (longest.idle_inputs(count, share) for share in (0.0, _NEXT_TO_NOTHING))
         return _AfterDelay(
             cost, best.inputs * (best.signals + self.outputs) * price, longest.horizon, longest.shows_inputs(count),
-            *(longest.idle_inputs(count, share) for share in (0.0, _NEXT_TO_NOTHING)),
+            idle, nearly_idle, longest.answers_at_once(count),
         )  # fmt: skip
 
     def where_inputs_show(self, none: _AfterDelay) -> int | None:
@@ -80,6 +88,28 @@ class _Delays:
                 missed = missed + 1 if after.cost >= min(known)[0] else 0
                 known.append((after.cost, samples, after))
         return min(known)[1:]
+
+
+def predicted_delays(records: Sequence[FreeRecord], outputs: int, felt: bool) -> tuple[Indices, float]:
+    """Return by how many samples each output comes later, and the log-likelihood that this gains.
+
+    As `predicted_delay` has it for all of them; where inputs foretell some earlier than others, for each alone, if that
+    gains more.
+    """
+    common, gain = predicted_delay(records, outputs, felt)
+    first = _Delays.of(records, outputs).after(0) if outputs > 1 else None
+    if first is not None and not first.at_once:
+        own = [predicted_delay(of_output(records, output), 1, felt) for output in range(outputs)]
+        gain_of_own = sum(each for _, each in own)
+        if gain_of_own > gain:
+            return np.array([late for late, _ in own]), gain_of_own
+    return np.full(outputs, common), gain
+
+
+def of_output(records: Sequence[FreeRecord], output: int) -> list[FreeRecord]:
+    """Return records of one of the outputs."""
+    seen = (record.among_outputs(record.outputs == output) for record in records if output in record.outputs)
+    return [replace(record, outputs=np.zeros(1, int)) for record in seen]
 
 
 def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> tuple[int, float]:
@@ -103,7 +133,7 @@ def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> 
         Samples, up to a tenth of the shortest record and 1000, and the log-likelihood that they gain; 0 where records
         are too short, or show no delay.
     """
-    delays = _Delays(records, outputs, min(min((rows.length for rows in records), default=0) // _SHARE, _LONGEST))
+    delays = _Delays.of(records, outputs)
     none = delays.after(0)
     begin = None if none is None else delays.where_inputs_show(none)
     first = None if begin is None else delays.after(begin)

@@ -167,17 +167,30 @@ class PredictorStates:
 
         Given all past outputs and all earlier inputs: no more than chance, or than a share of what all inputs do.
         """
+        p = self.outputs
+        least, errors = self._without_inputs
+        lost = samples * (np.linalg.slogdet(errors)[1] - float(np.linalg.slogdet(least)[1]))
+        chance = p * self.inputs * float(np.log(samples * p)) * np.arange(1, len(lost) + 1)
+        return int(np.argmax(np.append(lost > np.maximum(chance, share * lost[-1]), True)))
+
+    def answers_at_once(self, samples: int) -> bool:
+        """Return whether inputs foretell all outputs, each by itself, as early as one another, in so many samples."""
+        least, errors = self._without_inputs
+        lost = samples * np.log(np.diagonal(errors, axis1=1, axis2=2) / np.diag(least))
+        chance = self.inputs * float(np.log(samples)) * np.arange(1, len(lost) + 1)[:, None]
+        return bool(np.ptp(np.argmax(np.append(lost > chance, np.ones((1, self.outputs), bool), axis=0), axis=0)) == 0)
+
+    @cached_property
+    def _without_inputs(self) -> tuple[Array, Array]:
+        """Covariances (p, p) of prediction errors, and (r + 1, p, p) of those without the latest inputs, 1, 2, ..."""
         S, p, q = self._covariance, self.outputs, self.signals
         lags = q * np.arange(self.horizon, -1, -1)[:, None]
         past, inputs = (lags[:-1] + np.arange(p)).ravel(), (lags + np.arange(p, q)).ravel()
         order = np.concatenate([past, inputs, np.arange(p)])
         rows = np.linalg.cholesky(S[np.ix_(order, order)])[-p:]
         by_inputs = rows[:, len(past) : -p].reshape(p, -1, q - p).transpose(1, 0, 2)[::-1]
-        errors = rows[:, -p:] @ rows[:, -p:].T + np.cumsum(by_inputs @ by_inputs.transpose(0, 2, 1), axis=0)
-        losses = samples * np.linalg.slogdet(errors)[1]
-        lost = losses - samples * float(np.linalg.slogdet(rows[:, -p:] @ rows[:, -p:].T)[1])
-        chance = p * self.inputs * float(np.log(samples * p)) * np.arange(1, len(lost) + 1)
-        return int(np.argmax(np.append(lost > np.maximum(chance, share * lost[-1]), True)))
+        least = rows[:, -p:] @ rows[:, -p:].T
+        return least, least + np.cumsum(by_inputs @ by_inputs.transpose(0, 2, 1), axis=0)
 
     def _regressed(self, combinations: Array, of: Array) -> Array:
         """Coefficients of some combinations of signals in `combinations` of others."""

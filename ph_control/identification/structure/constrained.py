@@ -410,7 +410,9 @@ class Approach:
         known = end.x[: coordinates.size]
         shapes, participation = coordinates.shapes(known) if isinstance(coordinates, ShapeCoordinates) else (None, None)
         parameters = coordinates.dof - end.deficiency + (0 if end.delays is None else end.delays.count)
-        variance = start.loss / max(1, start.rows - start.unknowns)
+        # free residues in the delays that a descent began with may be far from the minimum
+        least = start.loss if end.delays is None else min(start.loss, end.loss)
+        variance = least / max(1, start.rows - start.unknowns)
         return StructuredFit(
             self.hypothesis, structure_of(self.hypothesis), end.p, end.residues, end.feedthrough, shapes,
             participation, end.loss, parameters, variance, cast(GivenResidues, end.data), self.refinement.converged,

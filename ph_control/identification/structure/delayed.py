@@ -16,7 +16,7 @@ from scipy.signal import argrelmin
 from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, Mask
 from ..._units import DERIVATIVES
-from ..regression.free import Delays, FreeProjection, FreeRows
+from ..regression.free import Delays, FreeProjection, FreeRows, GivenResidues
 from ..regression.sections import PoleRegion
 from ..regression.tuning import TUNING
 from .constrained import Approach, StructuredFit
@@ -49,12 +49,17 @@ class DelayedStructure:
 
 
 def cost_of(fit: StructuredFit, scales: Array) -> float:
-    """BIC of a structure for each row of the data, in their units, with the variance of each output at its best."""
+    """BIC of a structure for each row of the data, in their units, with the variance of each output at its best.
+
+    What is left of exact data is rounding, which grows with the samples, and tells no model from another.
+    """
     projection = fit.projection
     counts = np.zeros(len(projection.losses))
     for rows in projection.experiments:
         counts[rows.outputs] += rows.samples
-    losses = scales**2 * np.maximum(projection.losses, np.finfo(float).tiny) / np.maximum(counts, 1)
+    motionless = GivenResidues(projection, np.zeros_like(projection.shared)).losses
+    least = np.maximum((EPS * projection.rows) ** 2 * motionless, np.finfo(float).tiny)
+    losses = scales**2 * np.maximum(projection.losses, least) / np.maximum(counts, 1)
     own = projection.unknowns - len(projection.x) - int(projection.shown.sum())
     return float(np.sum(counts * np.log(losses)) + (fit.parameters + own) * np.log(projection.rows)) / projection.rows
 
