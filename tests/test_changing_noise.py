@@ -160,3 +160,16 @@ def test_noise_is_coloured_in_spans_in_which_little_goes_on(seed):
     result = phc.pem((u, y), dt=1.0, quantity="free")
     assert changes_in(result) and result.noise.orders[0] > 0 and result.states == 1
     assert abs(result.time_constants[0] - 8) < 3 * result.stderr["time_constants"][0] < 1.0
+
+
+@pytest.mark.parametrize("seed", [8, *slowly(4, 10)])
+def test_an_output_that_rests_on_a_digit_has_the_noise_of_its_digits(seed):
+    rng, u = np.random.default_rng(seed), np.zeros(300)
+    for k in np.sort(rng.integers(5, 270, 5)):
+        u[k:] = rng.uniform(-1, 1)
+    y = lfilter([0.0, 1 - np.exp(-1 / 15)], [1.0, -np.exp(-1 / 15)], np.append(np.zeros(4), u)[:300])
+    digit = 0.1 * y.std()
+    y = np.round((y + 0.01 * y.std() * rng.standard_normal(300)) / digit) * digit
+    result = phc.pem((u, y), dt=1.0, quantity="free")
+    assert result.states == 1 and not changes_in(result)
+    assert abs(result.time_constants[0] - 15) < 3 * result.stderr["time_constants"][0] < 1.5

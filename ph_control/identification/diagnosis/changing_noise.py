@@ -26,6 +26,7 @@ _WORTH = 1.4  # ratio of levels below which nothing is gained by telling them ap
 _PAST = 30  # samples of it that noise may depend on
 _EACH = 20  # samples for each of them, at least
 _CLIPPED = 4.0  # times the level of a span: what is farther out does not count more
+_DISTINCT = 1e-9  # of the range of an output: values that are nearer are the same digit
 _MEDIAN = 0.6745  # of the absolute value of a normal variable
 _LOG_VARIANCE = np.pi**2 / 2  # of the logarithm of its square
 
@@ -56,19 +57,22 @@ def changing_levels(fit: FreeFit) -> tuple[Array | None, ...] | None:
     # what a few of them have done to a fit is no noise either
     if any(outliers(seen, sum(len(each) for each in seen) - fit.unknowns)):
         return None
-    levels = tuple(_levels(channel, each) for channel, each in zip(channels, rows, strict=True))
+    levels = tuple(_levels(channel, each, fit.scales) for channel, each in zip(channels, rows, strict=True))
     return None if all(level is None for level in levels) else levels
 
 
-def _levels(channel: Recording, rows: Sequence[tuple[FreeRecord, Array]]) -> Array | None:
-    """Level of the noise of each output (p, T) of a recording, with a geometric mean of 1; None where none changes."""
+def _levels(channel: Recording, rows: Sequence[tuple[FreeRecord, Array]], scales: Array) -> Array | None:
+    """Level of the noise of each output (p, T) of a recording, with a geometric mean of 1; None where none changes.
+
+    An output that rests on one of its digits has the noise of its digits there.
+    """
     samples, noise = channel.samples, dict[int, Array]()
     for record, residuals in rows:
         first = samples - record.length if record.whole_record is None else record.whole_record.first
         for output, residual in zip(record.outputs.tolist(), residuals, strict=True):
             each = np.full(samples, np.nan)
             each[first : first + record.length] = np.where(record.observed, residual, np.nan)
-            noise[output] = each
+            noise[output] = np.hypot(each, _of_digits(channel.original.y[output]) / (scales[output] * record.unit))
     if not noise or min(np.count_nonzero(each == each) for each in noise.values()) < 4 * _SHORTEST * _PIECE:
         return None
     every = np.stack(list(noise.values()))
@@ -88,6 +92,14 @@ def _levels(channel: Recording, rows: Sequence[tuple[FreeRecord, Array]]) -> Arr
         if level.max() >= _WORTH * level.min():
             levels[output] = level / np.exp(np.mean(np.log(level[each == each])))
     return levels
+
+
+def _of_digits(y: Array) -> float:
+    """Standard deviation of the rounding of an output to its digits, by the least difference of two of its values."""
+    values = np.unique(y[np.isfinite(y)])
+    steps = np.diff(values)
+    steps = steps[steps > _DISTINCT * np.ptp(values)] if len(values) else steps
+    return float(steps.min(initial=np.inf)) / np.sqrt(12) if len(steps) else 0.0
 
 
 def _innovations(residual: Array) -> Array:

@@ -66,8 +66,10 @@ def _is_late(fit: FreeFit, path: FreePath) -> bool:
     on_time = path.model(fit.projection.p)
     if fit.rounding:
         return not path.is_exact(on_time)
-    share = path.counts.sum() / fit.projection.rows
-    return fit.criteria.bic * share < path.bic(on_time) - 2 * TUNING.likely
+    latest = float(fit.delay.max())  # as many samples are left out on either side: they may be those that tell
+    rows = [record.delayed(0.0, 0.0, latest) for record in path.plain.data if isinstance(record, FreeRecord)]
+    without = _bic_of(rows, FreeProjection(rows, on_time.p), path.search.unknowns_of(on_time.p))
+    return bic_within(fit, 0.0, latest) < without - 2 * TUNING.likely
 
 
 def predicted_lateness(channels: Experiments, search: Search) -> tuple[Lateness, float]:
@@ -199,11 +201,16 @@ def bic_within(fit: FreeFit, least: float, most: float, more: int = 0) -> float:
         record.delayed(record.delay_time, least, most) for record in rows_as_in(fit, fit.channels, moving, fit.lateness)
     ]
     shown = Records(rows).whitened(fit.noise).data if fit.noise else rows
-    counts = np.zeros(len(fit.scales))
-    for record in shown:
+    return _bic_of(shown, FreeProjection(shown, fit.projection.p, fit.projection.fed), fit.unknowns + more)
+
+
+def _bic_of(rows: Sequence[FreeRecord], projection: FreeProjection, unknowns: int) -> float:
+    """Return the BIC of poles in some rows, with so many parameters."""
+    losses = np.maximum(projection.losses, np.finfo(float).tiny)
+    counts = np.zeros(len(losses))
+    for record in rows:
         counts[record.outputs] += record.samples
-    losses = np.maximum(FreeProjection(shown, fit.projection.p, fit.projection.fed).losses, np.finfo(float).tiny)
-    return (fit.unknowns + more) * float(np.log(counts.sum())) + float(counts @ np.log(losses / counts))
+    return unknowns * float(np.log(counts.sum())) + float(counts @ np.log(losses / counts))
 
 
 def are_heavy(p: ComplexArray) -> Mask:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..._types import Mask
 from ..._units import feels_force
-from ..regression.free import Lateness
+from ..regression.free import FreeProjection, Lateness
 from ..regression.tuning import TUNING
 from ..search.fitted_modes import FreeFit
 from .choice import Choice, Request, layout_of
@@ -153,11 +153,14 @@ def _delayed(free: FreeFit, best: Choice, hypothesis: str, request: Request, set
     delayed = with_delays(free.projection, layout, hypothesis, free.region, _felt(free, request), settled=settled)
     if delayed is None or delayed.fit.delays is None:
         return None
-    projection, late = delayed.free, Choice(free, delayed.fit, best.tests)
+    projection, late, delays = delayed.free, Choice(free, delayed.fit, best.tests), delayed.fit.delays
     gain = free.delay_gain + (0.0 if settled else late.gain(best))
+    measured = free.measured and FreeProjection(
+        delays.rows(free.measured.experiments), projection.p, projection.fed  # type: ignore[type-var]
+    )  # fmt: skip
     now = replace(
-        free, projection=projection, unknowns=projection.unknowns, delay=delayed.fit.delays.each, delay_gain=gain,
-        held_otherwise=None, delay_open=True, findings=best.free.findings,
+        free, projection=projection, measured=measured, unknowns=projection.unknowns, delay=delays.each,
+        delay_gain=gain, held_otherwise=None, delay_open=True, findings=best.free.findings,
     )  # fmt: skip
     return replace(late, free=now)
 
