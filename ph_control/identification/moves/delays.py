@@ -68,7 +68,7 @@ def _is_late(fit: FreeFit, path: FreePath) -> bool:
         return not path.is_exact(on_time)
     latest = float(fit.delay.max())  # as many samples are left out on either side: they may be those that tell
     rows = [record.delayed(0.0, 0.0, latest) for record in path.plain.data if isinstance(record, FreeRecord)]
-    without = _bic_of(rows, FreeProjection(rows, on_time.p), path.search.unknowns_of(on_time.p))
+    without = _bic_of(rows, FreeProjection(rows, on_time.p), fit.unknowns)
     return bic_within(fit, 0.0, latest) < without - 2 * TUNING.likely
 
 

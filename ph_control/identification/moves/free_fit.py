@@ -201,7 +201,9 @@ def _in_white_noise_and_beside(
         late = of_late_inputs(channels, search) if several else of_late_lag(channels, search)
     if start is None and late is None:
         shown, gain = predicted_lateness(channels, search)
-        begun = in_prevailing_noise(channels, search, shown)
+        # outputs far from an input seem late, though none of the modes is
+        common = replace(shown, outputs=np.full_like(shown.outputs, shown.outputs.min()))
+        begun = in_prevailing_noise(channels, search, common)
         if begun is not None and begun.stands:
             return begun.fit, begun.forced, _noise_beside(begun.fit, path, search, start)
         late = of_predicted_delay(channels, search, shown, gain)
