@@ -162,15 +162,18 @@ def _beside_changing_noise(alone: Searched, search: Search, refine: Refine) -> S
 
     So it has to be with the poles that there are before others are looked for.
     """
-    channels = _in_their_levels(alone)
-    if channels is None:
-        return alone
-    again = refine(channels, alone, alone.free.projection.p)
-    if again.free.interrupted:
-        return alone.cut
-    if again.bic >= alone.bic:
-        return alone
-    latest = _settled(alone, search, _in_their_levels)
+
+    def likelier_levels(latest: Searched) -> Channels | None:
+        """Return recordings with other levels, which the poles of the first fit have to ask for."""
+        channels = _in_their_levels(latest)
+        if channels is None or latest is not alone:
+            return channels
+        again = refine(channels, alone, alone.free.projection.p)
+        if again.free.interrupted:
+            raise KeyboardInterrupt
+        return channels if again.bic < alone.bic else None
+
+    latest = _settled(alone, search, likelier_levels)
     if latest is alone or latest.free.interrupted:
         return latest
     findings = findings_of(latest.channels, 0.0)

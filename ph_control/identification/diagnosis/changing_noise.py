@@ -96,10 +96,9 @@ def _levels(channel: Recording, rows: Sequence[tuple[FreeRecord, Array]], scales
 
 def _of_digits(y: Array) -> float:
     """Standard deviation of the rounding of an output to its digits, by the least difference of two of its values."""
-    values = np.unique(y[np.isfinite(y)])
-    steps = np.diff(values)
-    steps = steps[steps > _DISTINCT * np.ptp(values)] if len(values) else steps
-    return float(steps.min(initial=np.inf)) / np.sqrt(12) if len(steps) else 0.0
+    steps = np.diff(np.unique(y[np.isfinite(y)]))
+    distinct = steps[steps > _DISTINCT * steps.sum()]
+    return float(distinct.min()) / np.sqrt(12) if len(distinct) else 0.0
 
 
 def _innovations(residual: Array) -> Array:

@@ -20,7 +20,7 @@ from ..search.fitted_modes import FreeFit
 from ..search.free_search import Records
 from ..search.late_lags import LateLagScan
 from ..search.path import FreePath
-from ..search.predicted_delay import of_output, predicted_delays
+from ..search.predicted_delay import likelier_apart, predicted_delays
 from ..uncertainty.residual_tests import ljung_box
 from .assumptions import Anew, Search, rows_as_in
 
@@ -94,12 +94,10 @@ def _late_lags(records: Sequence[FreeRecord], outputs: int) -> tuple[Indices, fl
         scan = LateLagScan.of(records, outputs)
         return (scan and scan.likeliest()) or (0, 0.0)
 
-    common, gain = shown(records, outputs)
-    own = [shown(of_output(records, output), 1) for output in range(outputs)] if 1 < outputs <= _TOGETHER else []
-    gain_of_own = sum(each for _, each in own)
-    if gain_of_own > gain:
-        return np.array([late for late, _ in own]), gain_of_own
-    return np.full(outputs, common), gain
+    common = shown(records, outputs)
+    if 1 < outputs <= _TOGETHER:
+        return likelier_apart(common, shown, records, outputs)
+    return np.full(outputs, common[0]), common[1]
 
 
 def feel_at_once(path: FreePath) -> bool:

@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..data.time_record import LONG
 from ..data.windowed import crossed_scores, share_errors
@@ -222,6 +223,11 @@ class FreeProjection(LinearProjection):
         """Number of combinations of `shared` that leave no trace."""
         return sum((np.count_nonzero(np.any(group.columns, axis=0)) - group.basis.shape[1]) * len(group.outputs)
                    for group in self._groups)  # fmt: skip
+
+    @property
+    def rounding(self) -> Array:
+        """Losses of outputs below which residuals are rounding: of recursions in doubles it grows with the samples."""
+        return np.asarray((EPS * self.rows) ** 2 * GivenResidues(self, np.zeros_like(self.shared)).losses)
 
     @property
     def unknowns(self) -> int:

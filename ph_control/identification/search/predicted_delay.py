@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -32,7 +33,7 @@ class _AfterDelay:
     shown: bool
     idle: int
     nearly_idle: int
-    at_once: bool  # whether inputs foretell all outputs as early as one another
+    together: bool  # whether inputs foretell all outputs as early as one another
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class _Delays:
         idle, nearly_idle = (longest.idle_inputs(count, share) for share in (0.0, _NEXT_TO_NOTHING))
         return _AfterDelay(
             cost, best.inputs * (best.signals + self.outputs) * price, longest.horizon, longest.shows_inputs(count),
-            idle, nearly_idle, longest.answers_at_once(count),
+            idle, nearly_idle, longest.answer_together(count),
         )  # fmt: skip
 
     def where_inputs_show(self, none: _AfterDelay) -> int | None:
@@ -89,6 +90,22 @@ class _Delays:
                 known.append((after.cost, samples, after))
         return min(known)[1:]
 
+    def predicted(self, felt: bool) -> tuple[int, float]:
+        """Return the delay with which predictors foretell most, and the log-likelihood that it gains."""
+        none = self.after(0)
+        begin = None if none is None else self.where_inputs_show(none)
+        first = None if begin is None else self.after(begin)
+        if none is None or begin is None or first is None:
+            return 0, 0.0
+        hold = int(not felt)  # samples by which outputs follow inputs without a delay
+        jump = max(0, first.nearly_idle - hold) if first.nearly_idle <= first.past else 0
+        samples, best = self.likeliest(min(begin + jump, self.most), _PATIENCE[begin > 0])
+        # states of a short past may hide the last samples; one that is fed through belongs to the response
+        more = best.idle - hold
+        gain, spared = none.cost - best.cost, samples - begin + min(more, 0)
+        samples = min(max(samples + more, 0), self.most)
+        return (samples, 0.5 * gain) if samples and gain > _SPARED * spared * none.state else (0, 0.0)
+
 
 def predicted_delays(records: Sequence[FreeRecord], outputs: int, felt: bool) -> tuple[Indices, float]:
     """Return by how many samples each output comes later, and the log-likelihood that this gains.
@@ -96,17 +113,29 @@ def predicted_delays(records: Sequence[FreeRecord], outputs: int, felt: bool) ->
     As `predicted_delay` has it for all of them; where inputs foretell some earlier than others, for each alone, if that
     gains more.
     """
-    common, gain = predicted_delay(records, outputs, felt)
-    first = _Delays.of(records, outputs).after(0) if outputs > 1 else None
-    if first is not None and not first.at_once:
-        own = [predicted_delay(of_output(records, output), 1, felt) for output in range(outputs)]
-        gain_of_own = sum(each for _, each in own)
-        if gain_of_own > gain:
-            return np.array([late for late, _ in own]), gain_of_own
-    return np.full(outputs, common), gain
+    delays = _Delays.of(records, outputs)
+    common, first = delays.predicted(felt), delays.after(0)
+    if first is None or first.together:
+        return np.full(outputs, common[0]), common[1]
+    return likelier_apart(common, partial(predicted_delay, felt=felt), records, outputs)
 
 
-def of_output(records: Sequence[FreeRecord], output: int) -> list[FreeRecord]:
+def likelier_apart(
+    common: tuple[int, float], shown: Callable[[Sequence[FreeRecord], int], tuple[int, float]],
+    records: Sequence[FreeRecord], outputs: int,
+) -> tuple[Indices, float]:  # fmt: skip
+    """Return the samples by which all outputs come late, or those that each shows alone, and what these gain, if more.
+
+    `shown` gives samples and gain of so many outputs.
+    """
+    own = [shown(_of_output(records, output), 1) for output in range(outputs)]
+    gain = sum(each for _, each in own)
+    if gain > common[1]:
+        return np.array([late for late, _ in own]), gain
+    return np.full(outputs, common[0]), common[1]
+
+
+def _of_output(records: Sequence[FreeRecord], output: int) -> list[FreeRecord]:
     """Return records of one of the outputs."""
     seen = (record.among_outputs(record.outputs == output) for record in records if output in record.outputs)
     return [replace(record, outputs=np.zeros(1, int)) for record in seen]
@@ -133,17 +162,4 @@ def predicted_delay(records: Sequence[FreeRecord], outputs: int, felt: bool) -> 
         Samples, up to a tenth of the shortest record and 1000, and the log-likelihood that they gain; 0 where records
         are too short, or show no delay.
     """
-    delays = _Delays.of(records, outputs)
-    none = delays.after(0)
-    begin = None if none is None else delays.where_inputs_show(none)
-    first = None if begin is None else delays.after(begin)
-    if none is None or begin is None or first is None:
-        return 0, 0.0
-    hold = int(not felt)  # samples by which outputs follow inputs without a delay
-    jump = max(0, first.nearly_idle - hold) if first.nearly_idle <= first.past else 0
-    samples, best = delays.likeliest(min(begin + jump, delays.most), _PATIENCE[begin > 0])
-    # states of a short past may hide the last samples; one that is fed through belongs to the response
-    more = best.idle - hold
-    gain, spared = none.cost - best.cost, samples - begin + min(more, 0)
-    samples = min(max(samples + more, 0), delays.most)
-    return (samples, 0.5 * gain) if samples and gain > _SPARED * spared * none.state else (0, 0.0)
+    return _Delays.of(records, outputs).predicted(felt)

@@ -173,7 +173,7 @@ class PredictorStates:
         chance = p * self.inputs * float(np.log(samples * p)) * np.arange(1, len(lost) + 1)
         return int(np.argmax(np.append(lost > np.maximum(chance, share * lost[-1]), True)))
 
-    def answers_at_once(self, samples: int) -> bool:
+    def answer_together(self, samples: int) -> bool:
         """Return whether inputs foretell all outputs, each by itself, as early as one another, in so many samples."""
         least, errors = self._without_inputs
         lost = samples * np.log(np.diagonal(errors, axis1=1, axis2=2) / np.diag(least))

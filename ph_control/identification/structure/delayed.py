@@ -16,7 +16,7 @@ from scipy.signal import argrelmin
 from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, Mask
 from ..._units import DERIVATIVES
-from ..regression.free import Delays, FreeProjection, FreeRows, GivenResidues
+from ..regression.free import Delays, FreeProjection, FreeRows
 from ..regression.sections import PoleRegion
 from ..regression.tuning import TUNING
 from .constrained import Approach, StructuredFit
@@ -57,8 +57,7 @@ def cost_of(fit: StructuredFit, scales: Array) -> float:
     counts = np.zeros(len(projection.losses))
     for rows in projection.experiments:
         counts[rows.outputs] += rows.samples
-    motionless = GivenResidues(projection, np.zeros_like(projection.shared)).losses
-    least = np.maximum((EPS * projection.rows) ** 2 * motionless, np.finfo(float).tiny)
+    least = np.maximum(projection.rounding, np.finfo(float).tiny)
     losses = scales**2 * np.maximum(projection.losses, least) / np.maximum(counts, 1)
     own = projection.unknowns - len(projection.x) - int(projection.shown.sum())
     return float(np.sum(counts * np.log(losses)) + (fit.parameters + own) * np.log(projection.rows)) / projection.rows

@@ -9,12 +9,11 @@ from functools import partial
 import numpy as np
 from scipy.special import fdtrc
 
-from ..._checks import EPS
 from ..._options import HYPOTHESES
 from ..data.windowed import share_errors
 from ..diagnosis.verdict import HypothesisTest
 from ..innovations.joint import JointProjection
-from ..regression.free import FreeProjection, GivenResidues
+from ..regression.free import FreeProjection
 from ..regression.sections import PoleRegion
 from ..regression.time_rows import FreeRecord
 from .constrained import Approach, StructuredFit, constrained, is_crowded, nearest_passive_fit
@@ -156,7 +155,7 @@ def likelihood_test(projection: FreeProjection, fit: StructuredFit, dof: int) ->
     against: it counts as one.
     """
     spare = max(1, projection.rows - projection.unknowns)
-    least = max(projection.loss, _rounding(projection))
+    least = max(projection.loss, float(projection.rounding.sum()))
     variance, gain = least / spare, max(0.0, fit.loss - least) / _inflation(projection, fit, dof)
     if not dof and gain <= _HELD * variance:
         return HypothesisTest(fit.hypothesis, 0.0, 0, 1.0)
@@ -176,11 +175,6 @@ def _inflation(projection: FreeProjection, fit: StructuredFit, dof: int) -> floa
 def is_refused(hypothesis: str, tests: Sequence[HypothesisTest]) -> bool:
     """Whether the data reject a hypothesis."""
     return any(test.hypothesis == hypothesis and test.p < LEVEL for test in tests)
-
-
-def _rounding(projection: FreeProjection) -> float:
-    """Loss below which residuals are rounding: in recursions run in doubles, errors grow with the samples."""
-    return projection.rows * EPS**2 * projection.rows * GivenResidues(projection, np.zeros_like(projection.shared)).loss
 
 
 def choose(tests: StructureTests, region: PoleRegion, level: float = LEVEL) -> StructuredFit:

@@ -24,10 +24,10 @@ def under_either_hold(first: Choice, request: Request) -> Choice:
     gain = best.gain(first)
     if best is first:
         gain = 0.5 * (first.free.rival.criteria.bic - first.free.criteria.bic)
-    return with_finding(best, gain)
+    return with_finding_of_hold(best, gain)
 
 
-def with_finding(best: Choice, gain: float) -> Choice:
+def with_finding_of_hold(best: Choice, gain: float) -> Choice:
     """The same that says, of an input that is not held, by how much that is likelier."""
     others = tuple(finding for finding in best.free.findings if finding.cause is not Cause.HOLD)
     held = best.free.intersample == "zoh"

@@ -15,7 +15,7 @@ from ..search.fitted_modes import FreeFit
 from .choice import Choice, Request, layout_of
 from .constrained import StructuredFit, constrained
 from .delayed import with_delays
-from .input_hold import SAME, under_either_hold, with_finding
+from .input_hold import SAME, under_either_hold, with_finding_of_hold
 
 _SEEN = 2.0  # standard errors by which delays that a structure needs differ from 0
 _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it
@@ -52,7 +52,7 @@ def _under_likelier_hold(first: Choice, request: Request, refined: Callable[[Cho
     pair = [refined(choice) for choice in (first, Choice.of(rival, request))]
     held, linear = pair if first.free.intersample == "zoh" else pair[::-1]
     gain = linear.gain(held)
-    return with_finding(linear if 2 * gain > SAME else held, gain)
+    return with_finding_of_hold(linear if 2 * gain > SAME else held, gain)
 
 
 def _with_own_delays(late: Choice, request: Request, with_delay: WithDelay | None) -> Choice:
