@@ -15,21 +15,23 @@ from ..regression.tuning import TUNING
 from ..search.channel_rows import Experiments, is_short
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
+from ..search.predictor_states import likeliest, predictors_of, signals_of
 from .assumptions import Anew, Search, rows_as_in
 from .dead_times import DeadTimeScan, numbers_of
 from .delays import LONGEST_DELAY, are_heavy, bic_within, leaves_traces
 
 _MOSTLY = 0.5  # of the squares of outputs: lags that leave more of them say little of dead times
 _SCANS = 3  # searches with the delays that the last one says
+_ROWS = 100  # of the covariance of a predictor
 _LAGS = 4  # of different rates, with which delays are looked for
 
 
 def of_late_inputs(channels: Experiments, search: Search) -> FreeFit | None:
     """Fit inputs that act later, each by a time of its own, where a few lags already tell; None elsewhere.
 
-    These have to explain most of the outputs.  The fit has to be likelier than what a search without dead times finds
-    that begins with its poles and its noise, with one more mode at most: more of them would come to stand for dead
-    times one by one.
+    These have to explain most of the outputs, and of what past outputs and inputs foretell.  The fit has to be likelier
+    than what a search without dead times finds that begins with its poles and its noise, with one more mode at most:
+    more of them would come to stand for dead times one by one.
     """
     path = search.path(channels)
     rows = [record for record in path.plain.data if isinstance(record, FreeRecord)]
@@ -42,6 +44,8 @@ def of_late_inputs(channels: Experiments, search: Search) -> FreeFit | None:
     if np.mean(lagging / np.maximum(still, np.finfo(float).tiny)) > _MOSTLY:
         return None
     late_path.whiten(proposed.noise, late_path.power)
+    if _is_foretold_better(rows, FreeProjection(late_path.search.data, proposed.lags)):
+        return None
     late = search.along(late_path, channels, np.append(search.begin, proposed.lags))
     try:
         late = late if late.interrupted else _in_best_dead_times(late, search)
@@ -52,6 +56,22 @@ def of_late_inputs(channels: Experiments, search: Search) -> FreeFit | None:
     path.whiten(late.noise, path.power)
     rival = replace(search, most=min(search.most, late.order + search.automatic))
     return _likelier_late(late, rival.along(path, channels, late.projection.p))
+
+
+def _is_foretold_better(rows: Sequence[FreeRecord], lagging: FreeProjection) -> bool:
+    """Whether a predictor from past outputs and inputs leaves less than half of the squares that late lags leave."""
+    outputs = len(lagging.losses)
+    signals = signals_of(rows, outputs)
+    predictors = predictors_of(signals, outputs, _ROWS) if signals else []
+    if not predictors:
+        return False
+    samples = sum(each.shape[1] for each in signals or ())
+    _, states, best = likeliest(predictors, samples, max(each.largest for each in predictors))[0]
+    counts = np.zeros(outputs)
+    for record in lagging.experiments:
+        counts[record.outputs] += record.samples
+    errors = float(np.mean(np.log(np.maximum(lagging.losses, np.finfo(float).tiny) / counts)))
+    return bool(float(best.errors[states]) / outputs < errors + np.log(_MOSTLY))
 
 
 def with_dead_times(fit: FreeFit, anew: Anew, search: Search) -> FreeFit | None:
