@@ -259,6 +259,20 @@ def test_the_part_of_a_sample_by_which_a_lag_is_late_is_no_second_lag(seed, each
     assert abs(result.delay[0] - 0.5) < 3 * result.stderr["delay"][0] < 0.2
 
 
+@pytest.mark.parametrize("seed", [9, *slowly(17)])
+def test_two_lags_that_come_late_keep_both_lags_after_a_few_steps(seed):
+    # without the delay the faster of them stands for most of it
+    rng, u = np.random.default_rng(seed), np.zeros(400)
+    for begin in np.sort(rng.integers(5, 360, 5)):
+        u[begin:] = rng.uniform(-1.0, 1.0)
+    late = np.append(np.zeros(3), u)[:400]
+    slow, fast = (lfilter([0.0, 1 - z], [1.0, -z], late) for z in np.exp(-1 / np.array([15.0, 5.0])))
+    y = 1.5 * slow - 0.5 * fast
+    result = phc.pem((u, y + 0.02 * np.std(y) * rng.standard_normal(400)), dt=1.0, quantity="free")
+    assert abs(result.delay[0] - 3) < 3 * result.stderr["delay"][0] < 1.5
+    assert np.all(np.abs(result.time_constants - [15, 5]) < 3 * result.stderr["time_constants"])
+
+
 def test_a_step_is_drawn_with_the_dead_time_and_the_poles_are_named(late_lag):
     plot = phc.step_plot(late_lag, confidence=True)
     t, y = plot.lines[0, 0][0].get_data()

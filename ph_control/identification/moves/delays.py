@@ -184,12 +184,13 @@ def _least_gain(fit: FreeFit, again: FreeFit) -> float:
     """Return the log-likelihood that a delay has to gain over a fit without it.
 
     Fewer lags that leave white residuals are simpler, as the criterion counts; but one that is over within a sample may
-    be a lag as well as a delay.  With noise that is modelled a delay is one more parameter; without, what else leaves
-    traces may ask for it.
+    be a lag as well as a delay.  With noise that is modelled, or is white, a delay is one more parameter; else what
+    leaves traces may ask for it.
     """
-    if not fit.order and again.states < fit.states and _samples_late(again) > 1 and not leaves_traces(again.projection):
+    white = not leaves_traces(again.projection)
+    if not fit.order and again.states < fit.states and _samples_late(again) > 1 and white:
         return 0.0
-    return 0.5 * float(np.log(fit.projection.rows)) if again.noise else TUNING.likely
+    return 0.5 * float(np.log(fit.projection.rows)) if again.noise or white else TUNING.likely
 
 
 def bic_within(fit: FreeFit, least: float, most: float, more: int = 0) -> float:
@@ -323,7 +324,7 @@ def _scanned_delays(fit: FreeFit) -> list[Array]:
     records = Records(rows_as_in(fit, some, True, _undelayed(fit)))
     rows = (records.whitened(fit.noise) if fit.noise else records).scaled(1.0 / fit.scales).data
     lags = np.sort(p[(p.imag == 0) & (p.real < 0)])[::-1]  # the slowest first
-    fewer = len(lags) + 2 * int(np.sum(p[heavy].imag > 0)) - 2  # than there are with the lag that joins
+    fewer = len(lags) + 2 * int(np.sum(p[heavy].imag > 0)) - 1  # than there are
     beside = [np.concatenate([p[~heavy], lags[:count]]) for count in range(max(min(len(lags), fewer), 0) + 1)]
     beside += [] if heavy.all() else [p[:0]]
     rates = np.array([*np.geomspace(4.0 / shortest, 0.5, _LAGS) / channels[0].dt, *-lags.real])
