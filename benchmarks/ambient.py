@@ -2,6 +2,7 @@
 
     python -m benchmarks.ambient floors four --samples 3000 30000 --noise 0.05 0.6 --seeds 200
     python -m benchmarks.ambient close --widths 2 1 0.5     two modes some half-power widths apart
+    python -m benchmarks.ambient roving                     three set-ups, two sensors stay and two move, in one fit
     python -m benchmarks.ambient floors --peers             pyOMA2 on the same records, where it is installed
     python -m benchmarks.ambient large                      10 modes, 10 sensors, a million samples: time and memory
 
@@ -21,6 +22,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import control as ct
 import numpy as np
 from scipy.linalg import eigh, expm, solve_discrete_lyapunov
 from scipy.signal import lfilter
@@ -29,6 +31,8 @@ import ph_control as phc
 
 HELD = 1e-9  # standard error of what is held
 RULE = 1e-10  # of the largest eigenvalue of an information matrix: what the scales of shapes leave undetermined
+ROVING = [0, 1, 2, 3], [0, 1, 4, 5], [0, 1, 6, 7]  # sensors of set-ups,
+LOUDNESS = 1.0, 3.0, 0.5  # and what the forces of each are multiplied by
 
 
 @dataclass(frozen=True)
@@ -82,32 +86,44 @@ class Structure:
         inner = np.linalg.solve(V, np.linalg.solve(V, Q).conj().T).conj().T
         return seen @ inner @ seen.conj().transpose(0, 2, 1) + np.diag(sensors**2)
 
-    def bound(self, samples: int, noise: float, bins: int = 4000) -> np.ndarray:
-        """Cramer-Rao bound of frequencies and damping ratios (2n,); shapes, forces and noise are unknown as well."""
+    def bound(
+        self, samples: int, noise: float, set_ups: Sequence[Sequence[int]] | None = None, bins: int = 4000
+    ) -> np.ndarray:
+        """Cramer-Rao bound of frequencies and damping ratios (2n,); shapes, forces and noise are unknown as well.
+
+        Of a record of all outputs, or of one of each of some set-ups, whose forces and noise are their own.
+        """
         n, p = len(self.hertz), len(self.shapes)
+        sensors = [list(range(p))] if set_ups is None else [list(rows) for rows in set_ups]
         k = np.linspace(1, samples // 2 - 1, min(bins, samples // 2 - 1))
         z, each = np.exp(2j * np.pi * k / samples), (samples // 2 - 1) / len(k)
         lower = np.tril_indices(n)
 
-        def model(theta: np.ndarray) -> np.ndarray:
-            hertz, zeta, shapes, root, sensors = np.split(theta, np.cumsum([n, n, p * n, len(lower[0])]))
-            L = np.zeros((n, n))
-            L[lower] = root
-            now = replace(self, hertz=hertz, zeta=zeta, shapes=shapes.reshape(p, n), forces=L @ L.T)
-            return now.spectrum(z, sensors)
+        def model(theta: np.ndarray) -> list[np.ndarray]:
+            hertz, zeta, shapes, rest = np.split(theta, np.cumsum([n, n, p * n]))
+            now, spectra = replace(self, hertz=hertz, zeta=zeta), []
+            for rows in sensors:
+                root, own, rest = np.split(rest, np.cumsum([len(lower[0]), len(rows)]))
+                L = np.zeros((n, n))
+                L[lower] = root
+                part = replace(now, shapes=shapes.reshape(p, n)[rows], forces=L @ L.T)
+                spectra.append(part.spectrum(z, own))
+            return spectra
 
-        theta = np.concatenate([
-            self.hertz, self.zeta, self.shapes.ravel(), np.linalg.cholesky(self.forces)[lower],
-            noise * np.sqrt(self.variances),
-        ])  # fmt: skip
-        W = np.linalg.inv(np.linalg.cholesky(model(theta)))
+        root, size = np.linalg.cholesky(self.forces)[lower], noise * np.sqrt(self.variances)
+        own = [part for rows in sensors for part in (root, size[rows])]
+        theta = np.concatenate([self.hertz, self.zeta, self.shapes.ravel(), *own])
+        whitening = [np.linalg.inv(np.linalg.cholesky(spectrum)) for spectrum in model(theta)]
         columns = []
         for j, value in enumerate(theta):
             change = np.zeros(len(theta))
             change[j] = 1e-5 * max(abs(value), 1e-3)
-            slope = (model(theta + change) - model(theta - change)) / (2 * change[j])
-            whitened = (W @ slope @ W.conj().transpose(0, 2, 1)).ravel() * np.sqrt(each)
-            columns.append(np.concatenate([whitened.real, whitened.imag]))
+            column = []
+            for W, more, less in zip(whitening, model(theta + change), model(theta - change), strict=True):
+                slope = (more - less) / (2 * change[j])
+                whitened = (W @ slope @ W.conj().transpose(0, 2, 1)).ravel() * np.sqrt(each)
+                column += [whitened.real, whitened.imag]
+            columns.append(np.concatenate(column))
         J = np.array(columns)
         lengths = np.linalg.norm(J, axis=1)
         J /= lengths[:, None]
@@ -146,6 +162,11 @@ def four() -> Structure:
     return Structure(hertz, np.array([0.01, 0.008, 0.01, 0.015]), shapes, forces, 0.02)
 
 
+def eight() -> Structure:
+    """The same modes and forces with eight sensors."""
+    return replace(four(), shapes=np.random.default_rng(5).standard_normal((8, 4)))
+
+
 def close(widths: float) -> Structure:
     """Bending of a tower in two directions, some half-power widths apart, and its twist; four sensors."""
     zeta, first = 0.01, 3.0
@@ -158,9 +179,12 @@ def close(widths: float) -> Structure:
 class Table:
     """What many estimates of a kind have shown."""
 
-    def __init__(self, name: str, structure: Structure, samples: int, noise: float) -> None:
+    def __init__(
+        self, name: str, structure: Structure, samples: int, noise: float,
+        set_ups: Sequence[Sequence[int]] | None = None,
+    ) -> None:  # fmt: skip
         self.name, self.structure = name, structure
-        self.least, self.law = structure.bound(samples, noise), structure.law(samples)
+        self.least, self.law = structure.bound(samples, noise, set_ups), structure.law(samples * len(set_ups or [0]))
         self.orders: Counter[tuple[int, int]] = Counter()
         self.errors: list[np.ndarray] = []
         self.z: list[np.ndarray] = []
@@ -253,17 +277,27 @@ def peers() -> dict[str, Peer]:
     }
 
 
-def study(name: str, structure: Structure, samples: int, noise: float, seeds: Sequence[int], others: bool) -> None:
+def study(
+    name: str, structure: Structure, samples: int, noise: float, seeds: Sequence[int], others: bool,
+    set_ups: Sequence[Sequence[int]] | None = None,
+) -> None:  # fmt: skip
     """Fit the records of some seeds, and print a table."""
     title = f"{name}, T = {samples}, noise {100 * noise:.0f} %"
-    table = Table(title, structure, samples, noise)
+    table = Table(title, structure, samples, noise, set_ups)
     rivals = {rival: (method, Table("  " + rival, structure, samples, noise)) for rival, method in
               (peers() if others else {}).items()}  # fmt: skip
     n = len(structure.hertz)
     for seed in seeds:
-        y = structure.record(samples, noise, np.random.default_rng([seed, samples, round(100 * noise)]))
+        rng = np.random.default_rng([seed, samples, round(100 * noise)])
+        data: object = (None, y := structure.record(samples, noise, rng)) if set_ups is None else [
+            ct.TimeResponseData(
+                structure.step * np.arange(samples), size * structure.record(samples, noise, rng)[rows], issiso=False,
+                output_labels=[f"sensor {row}" for row in rows],
+            )
+            for rows, size in zip(set_ups, LOUDNESS, strict=True)
+        ]  # fmt: skip
         start = time.process_time()
-        result = phc.pem((None, y), dt=structure.step, quantity="velocity")
+        result = phc.pem(data, dt=structure.step if set_ups is None else None, quantity="velocity")
         seconds = time.process_time() - start
         values = np.concatenate([result.natural_frequencies / (2 * np.pi), result.damping_ratios])
         stated = np.concatenate([result.stderr["natural_frequencies"] / (2 * np.pi), result.stderr["damping_ratios"]])
@@ -310,7 +344,7 @@ def large() -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="+", choices=["floors", "four", "close", "large"])
+    parser.add_argument("what", nargs="+", choices=["floors", "four", "close", "roving", "large"])
     parser.add_argument("--samples", type=int, nargs="+", default=[3000, 30_000])
     parser.add_argument("--noise", type=float, nargs="+", default=[0.05, 0.6])
     parser.add_argument("--widths", type=float, nargs="+", default=[2.0, 1.0, 0.5])
@@ -324,13 +358,16 @@ def main() -> None:
         if what == "large":
             large()
             continue
-        structures = {"floors": ("three floors", floors), "four": ("four modes", four)}
+        structures = {
+            "floors": ("three floors", floors), "four": ("four modes", four), "roving": ("three set-ups", eight),
+        }  # fmt: skip
         wanted = [(f"{widths} widths apart", close(widths)) for widths in arguments.widths] if what == "close" else []
         wanted += [(structures[what][0], structures[what][1]())] if what in structures else []
         for name, structure in wanted:
             for samples in arguments.samples:
                 for noise in arguments.noise:
-                    study(name, structure, samples, noise, seeds, arguments.peers)
+                    set_ups = ROVING if what == "roving" else None
+                    study(name, structure, samples, noise, seeds, arguments.peers and not set_ups, set_ups)
 
 
 if __name__ == "__main__":

@@ -97,6 +97,78 @@ def test_one_output_or_many(outputs):
     assert np.all(np.abs(result.damping_ratios - ZETA) < 4 * result.stderr["damping_ratios"])
 
 
+# --- sensors that move -----------------------------------------------------------------------------------------------
+
+PLACES = np.vstack([SHAPES, [[0.6, 0.9, 0.1], [0.9, -0.2, 0.8]]])
+
+
+def set_ups(seed, rows, sizes, samples=1500, shapes=PLACES, tone=0.0):
+    """Recordings of some places each, in forces of some sizes, with a tone of 6.1 Hz in all of them."""
+    recordings, t = [], STEP * np.arange(samples)
+    for k, (places, size) in enumerate(zip(rows, sizes, strict=True)):
+        y = ambient([seed, k], samples, shapes=shapes)[places]
+        y = size * (y + tone * y.std(axis=1, keepdims=True) * np.sin(2 * np.pi * 6.1 * t + k))
+        names = [f"place {place}" for place in places]
+        recordings.append(phc.recording(dict(zip(names, y, strict=True)), False, names, time=False, dt=STEP))
+    return recordings
+
+
+@pytest.fixture(scope="module")
+def moved():
+    """Fit of two set-ups with one sensor that stays; the wind is three times as strong in the second."""
+    return phc.pem(set_ups(3, ([0, 1, 3], [0, 2, 4]), (1.0, 3.0)))
+
+
+def test_set_ups_with_a_sensor_that_stays_have_one_set_of_modes(moved):
+    assert (moved.order, len(moved.real_poles), moved.structure) == (3, 0, "classical") and moved.is_ambient
+    order = [moved.output_labels.index(f"place {place}") for place in range(5)]
+    shapes, stated = moved.shapes.real[:, order], moved.stderr["shapes"].real[:, order]
+    largest = np.argmax(np.abs(shapes), axis=1)
+    true = PLACES.T / PLACES.T[np.arange(3), largest][:, None]
+    free = stated > 1e-9
+    z = np.concatenate([
+        (moved.natural_frequencies / (2 * np.pi) - HERTZ) / (moved.stderr["natural_frequencies"] / (2 * np.pi)),
+        (moved.damping_ratios - ZETA) / moved.stderr["damping_ratios"], (shapes - true)[free] / stated[free],
+    ])  # fmt: skip
+    assert free.sum() == 12
+    low, high = chi2.ppf([1e-3, 1 - 1e-3], len(z))
+    assert low < np.sum(z**2) < high and moved.whiteness > 1e-3
+
+
+def test_what_a_set_up_did_not_measure_is_not_predicted(moved, tmp_path):
+    seen = [np.isfinite(experiment.predicted).all(axis=1) for experiment in moved.experiments]
+    assert [each.sum() for each in seen] == [3, 3] and np.any(seen, axis=0).all() and np.all(seen, axis=0).sum() == 1
+    assert np.isfinite(moved.fit_percent) and np.all(moved.noise_variance > 0)
+    for name in ("predictor", "kalman_gain"):
+        with pytest.raises(phc.NoSuchQuantityError, match="fit one of them"):
+            getattr(moved, name)
+    phc.save(moved, tmp_path / "moved.json")
+    again = phc.load(tmp_path / "moved.json")
+    assert again.noise is None and np.array_equal(again.poles, moved.poles)
+    plt.close(phc.shape_plot(moved).figure)
+
+
+def test_a_machine_in_all_set_ups_is_named_and_is_no_mode():
+    result = phc.pem(set_ups(4, ([0, 1], [0, 2]), (1.0, 1.0), shapes=SHAPES, tone=0.5))
+    assert result.order == 3 and causes(result).count("HUM") == 2
+    (tone,) = {hum.values[0] for hum in result.findings if hum.cause.name == "HUM"}
+    assert abs(tone / (2 * np.pi) - 6.1) < 0.002
+
+
+@pytest.mark.slow
+def test_a_mode_at_whose_node_the_sensor_stays_has_no_shape_but_is_no_two_modes():
+    shapes = PLACES * (1 - np.outer(np.arange(5) == 0, np.arange(3) == 1))
+    result = phc.pem(set_ups(1, ([0, 1, 2], [0, 3, 4]), (1.0, 1.0), 2500, shapes))
+    assert result.order == 3 and not len(result.real_poles)
+    assert result.stderr["shapes"][1].real.max() > 5 * result.stderr["shapes"][[0, 2]].real.max()
+    assert np.all(np.abs(result.damping_ratios - ZETA) < 4 * result.stderr["damping_ratios"])
+
+
+def test_set_ups_without_a_sensor_in_common_are_refused():
+    with pytest.raises(phc.StructureError, match="an output in common"):
+        phc.pem(set_ups(0, ([0, 1], [2, 3]), (1.0, 1.0), 300), noise="forces")
+
+
 # --- what is ambient, and what is not --------------------------------------------------------------------------------
 
 

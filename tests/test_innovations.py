@@ -12,6 +12,7 @@ from ph_control.identification.innovations import forces
 from ph_control.identification.innovations.estimated_noise import with_estimated_noise
 from ph_control.identification.innovations.minimum import Experiment, InnovationsModel, Problem, minimise
 from ph_control.identification.innovations.noise_sections import NoiseSections
+from ph_control.identification.innovations.set_ups import SetUpsProblem
 from ph_control.identification.innovations.subspace import in_sections
 from ph_control.identification.regression.sections import Sections
 
@@ -87,6 +88,28 @@ def test_the_gradient_is_that_of_the_likelihood(real_shapes):
         assert not gradient[held].any() and not gram[held].any()
     lengths = np.sqrt(np.diag(gram))
     np.testing.assert_allclose(gradient[~held] / lengths[~held], differences[~held] / lengths[~held], atol=2e-4)
+
+
+def test_the_gradient_of_set_ups_is_that_of_the_sum_of_their_likelihoods():
+    shapes = np.array([[0.4, 1.0, -0.6], [0.8, 0.3, 1.0], [1.0, -0.9, -0.7], [0.5, 0.2, 0.6]])
+    shown = [np.array(rows) for rows in ([0, 1], [0, 2, 3], [0, 1])]
+    outputs = [ambient(seed, 150, shapes=shapes)[rows] for seed, rows in enumerate(shown)]
+    problem = SetUpsProblem(Problem([Experiment.of_outputs(y) for y in outputs], np.zeros((0, 4), bool)), shown)
+    A, C, _ = sampled(shapes)
+    alone = in_sections(A, C[:1], 0.05 * np.ones((6, 1)), 1.0)
+    begun = problem.extended(alone, np.array([0]))
+    rng = np.random.default_rng(1)
+    x = problem.vector(begun) + 1e-3 * rng.standard_normal(len(problem.vector(begun)))
+    evaluation = problem.evaluated(problem.point(x, begun))
+    parts = zip(problem.set_ups, problem.models(evaluation.point), strict=True)
+    assert evaluation.cost == sum(each.problem.evaluated(model).cost for each, model in parts)
+    assert evaluation.values == 150 * (2 + 3 + 2)
+    for k in range(len(x)):
+        h = 1e-5 * np.eye(len(x))[k]
+        after, before = (problem.evaluated(problem.point(x + s * h, begun)).cost for s in (1, -1))
+        assert abs((after - before) / 4e-5 - evaluation.normal[1][k]) < 1e-5 * np.abs(evaluation.normal[1]).max()
+    moved = problem.evaluated(problem.point(x + 1e-4 * evaluation.bases @ np.ones(evaluation.bases.shape[1]), begun))
+    assert evaluation.bases.shape[1] == 6 and abs(moved.cost - evaluation.cost) < 1e-3
 
 
 def test_bases_of_the_states_change_nothing_and_are_no_unknowns():

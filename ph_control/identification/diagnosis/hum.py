@@ -75,8 +75,8 @@ class Tones:
 
     @property
     def unknowns(self) -> int:
-        """Numbers that are estimated."""
-        return len(self.frequencies) + sum(each.size for each in self.amplitudes)
+        """Numbers that are estimated: of outputs that were not measured amplitudes are 0."""
+        return len(self.frequencies) + sum(int(np.count_nonzero(each)) for each in self.amplitudes)
 
 
 def _waves(frequencies: Array, t: Array) -> Array:

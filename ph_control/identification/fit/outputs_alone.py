@@ -44,13 +44,20 @@ _Search = Callable[[Sequence[Recording]], AmbientFit | None]
 
 
 def are_alone(channels: Channels, structure: str, options: Options) -> bool:
-    """Whether the data are outputs without inputs or gaps, which unmeasured forces may have kept in motion."""
-    alone = all(isinstance(data, Recording) and not data.u.any() and data.observed.all() for data in channels)
+    """Whether the data are outputs without inputs or gaps, which unmeasured forces may have kept in motion.
+
+    Set-ups of different sensors have at least one in common.
+    """
+    recordings = [data for data in channels if isinstance(data, Recording) and not data.u.any()]
+    seen = [data.observed.all(axis=1) for data in recordings]
+    alone = len(recordings) == len(channels) and bool(np.all(seen, axis=0).any()) and all(
+        np.array_equal(every, data.observed.any(axis=1)) for every, data in zip(seen, recordings, strict=True)
+    )  # fmt: skip
     steps = {data.dt for data in channels if isinstance(data, Recording)}
     if options.noise == "forces" and not alone and not any(getattr(data, "driven", True) for data in channels):
         raise StructureError(
-            "noise='forces' of outputs alone needs the same outputs in all recordings, without missing samples: cut "
-            "recordings where samples are missing, and fit set-ups of different sensors one by one"
+            "noise='forces' of outputs alone needs recordings without missing samples that have an output in common: "
+            "cut recordings where samples are missing, and fit set-ups without a common sensor one by one"
         )
     lossless = structure == "lossless" or options.method != "exact"
     return alone and len(steps) == 1 and options.noise in ("auto", "forces") and not lossless
@@ -122,7 +129,8 @@ def _faded(channels: Sequence[Recording]) -> float:
     """How many times the squares of the last quarter of the records outputs have in the first."""
     first = last = 0.0
     for data in channels:
-        y = data.y - data.y.mean(axis=1, keepdims=True)
+        y = data.y[data.observed.any(axis=1)]
+        y = y - y.mean(axis=1, keepdims=True)
         size = np.maximum(np.sum(y**2, axis=1), np.finfo(float).tiny)
         part = max(1, data.samples // 4)
         first += float(np.sum(np.sum(y[:, :part] ** 2, axis=1) / size))
@@ -188,12 +196,15 @@ def _still(fit: AmbientFit, channels: Sequence[Recording]) -> np.ndarray:
 
 def _density_at(fit: AmbientFit, angles: np.ndarray, still: np.ndarray) -> np.ndarray:
     """Density (p,) of the outputs at some frequencies, the mean over these, without modes that are still."""
-    noise: NoiseSections = fit.noise
-    K = noise.K.copy()
-    K[np.concatenate([2 * still, 2 * still + 1])] = 0.0
-    H = np.eye(len(fit.scales)) + noise.outputs_of_states(np.exp(1j * angles)) @ K
-    S = np.einsum("bij,jk,bik->bi", H, fit.evaluation.covariance, H.conj()).real
-    return np.asarray(S.mean(axis=0))
+    total, count = np.zeros((2, len(fit.scales)))
+    for outputs, _, evaluation in fit.evaluation.by_set_up:
+        noise: NoiseSections = evaluation.point.noise
+        K = noise.K.copy()
+        K[np.concatenate([2 * still, 2 * still + 1])] = 0.0
+        H = np.eye(len(outputs)) + noise.outputs_of_states(np.exp(1j * angles)) @ K
+        total[outputs] += np.einsum("bij,jk,bik->bi", H, evaluation.covariance, H.conj()).real.mean(axis=0)
+        count[outputs] += 1
+    return np.asarray(total / count)
 
 
 # --- the result ------------------------------------------------------------------------------------------------------
@@ -244,7 +255,7 @@ def _result(
     if not len(poles):
         outcome = Outcome.NOTHING
     fitted = joint_percent(shares_left([(experiment.record, experiment.predicted) for experiment in experiments]))
-    variances = np.diag(evaluation.covariance) * fit.scales**2
+    variances, set_ups = fit.variances, fit.evaluation.by_set_up
     shown = experiments if p > 1 else tuple(_squeezed(experiment) for experiment in experiments)
     covariance = J @ every[:size, :size] @ J.T
     table = {model.order: model for model in sorted(fit.orders, key=lambda model: -model.bic)}
@@ -278,19 +289,16 @@ def _result(
         intersample="zoh",
         delay=np.zeros(p),
         delay_stderr=np.zeros(p),
-        noise=FittedNoise.of(evaluation, fit.scales).model(step),
+        noise=FittedNoise.of(evaluation, fit.scales).model(step) if len(set_ups) == 1 else None,
     )  # fmt: skip
 
 
 def _row(model: AmbientOrder, fit: AmbientFit, step: float) -> OrderRow:
     """A row of the order table, in the units of the data."""
-    p, sections = len(fit.scales), model.noise.sections
-    size = float(np.sum(np.log(fit.scales)))
-    loglik = 0.5 * (2 * model.unknowns - model.criteria.aic) - fit.samples / p * size
-    loss = float(np.exp(-2 * loglik / fit.samples - 1) / (2 * np.pi))
-    shift = 2 * fit.samples / p * size
+    sections, criteria, shift = model.noise.sections, model.criteria, 2 * fit.size
+    loss = model.loss * float(np.exp(shift / fit.samples))
     frequencies = np.sort(np.abs(sections.p[sections.p.imag > 0])) / step
-    return OrderRow(model.order, loss, model.criteria.aic + shift, model.criteria.bic + shift, frequencies)
+    return OrderRow(model.order, loss, criteria.aic + shift, criteria.bic + shift, frequencies)
 
 
 def _message(
@@ -341,15 +349,20 @@ def _experiments(
     channels: Sequence[Recording], fit: AmbientFit, poles: int
 ) -> tuple[tuple[FittedChannels, ...], float]:
     """What the fit says of each experiment, predictions one step ahead; and the p-value of white prediction errors."""
-    experiments, errors, p = [], list[Array](), len(fit.scales)
-    root = np.linalg.cholesky(fit.evaluation.covariance)
-    triples = zip(channels, fit.evaluation.problem.experiments, fit.evaluation.errors, strict=True)
-    for k, (channel, experiment, spectrum) in enumerate(triples):
-        residuals = np.fft.irfft(spectrum, channel.samples) * np.sqrt(experiment.samples)
-        # the test takes series that are independent of one another
-        errors.extend(solve_triangular(root, residuals, lower=True))
-        predicted = channel.y - residuals * fit.scales[:, None]
-        experiments.append(FittedChannels(channel, np.zeros((poles, p), complex), fit.means[k], np.zeros(p), predicted))
+    predictions = [np.full(channel.y.shape, np.nan) for channel in channels]
+    errors, p = list[Array](), len(fit.scales)
+    for outputs, members, evaluation in fit.evaluation.by_set_up:
+        root = np.linalg.cholesky(evaluation.covariance)
+        for place, spectrum in zip(members.tolist(), evaluation.errors, strict=True):
+            samples = channels[place].samples
+            residuals = np.fft.irfft(spectrum, samples) * np.sqrt(samples)
+            # the test takes series that are independent of one another
+            errors.extend(solve_triangular(root, residuals, lower=True))
+            predictions[place][outputs] = channels[place].y[outputs] - residuals * fit.scales[outputs, None]
+    experiments = [
+        FittedChannels(channel, np.zeros((poles, p), complex), np.nan_to_num(mean), np.zeros(p), predicted)
+        for channel, mean, predicted in zip(channels, fit.means, predictions, strict=True)
+    ]
     return tuple(experiments), ljung_box(errors, TUNING.lags)
 
 

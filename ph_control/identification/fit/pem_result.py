@@ -237,7 +237,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         object.__setattr__(self, "stderr", ReadOnlyMapping(parts))
         record = self.experiments[0].record
         noise = self.noise
-        if noise is None and isinstance(record, InTime):
+        if noise is None and isinstance(record, InTime) and not self.is_ambient:
             noise = NoiseModel(np.diag(self.noise_variance), record.dt)  # of a fit in an older file
         object.__setattr__(self, "noise", None if noise is None else self._with_plant(noise))
         super().__post_init__()

@@ -15,6 +15,7 @@ from ..._units import with_unit
 from ...exceptions import NoSuchQuantityError, StructureError
 from ...modal.discretization import Hold
 from ...systems.port_hamiltonian import PortHamiltonian
+from ..data.time_record import InTime
 from ..uncertainty.kalman import KalmanFilter, NoisyPlant, continuous_gain, foretold_colour, growing
 from ..uncertainty.noise_model import NoiseModel, through_plant
 from .result import FittedModes
@@ -136,6 +137,10 @@ class Foretelling(FittedModes):
 
     @property
     def _noise_in_time(self) -> NoiseModel:
+        if self.noise is None and isinstance(self.experiments[0].record, InTime):
+            raise NoSuchQuantityError(
+                "this fit is to set-ups of different sensors, each of which has a predictor of its own: fit one of them"
+            )
         if self.noise is None:
             raise NoSuchQuantityError(
                 "this fit is to a frequency response, which has no samples to predict; noise_variance has the noise "

@@ -14,13 +14,14 @@ from functools import cached_property
 
 import numpy as np
 
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, Indices
 from ..data.channels import Recording
 from ..search.criteria import Criteria
 from ..search.predictor_states import cross_correlations, longest_past
 from ..search.progress import Report
 from .minimum import Experiment, InnovationsModel, LikelihoodEvaluation, Minimum, Problem, minimise
 from .noise_sections import NoiseSections
+from .set_ups import SetUpsProblem
 from .subspace import CanonicalVariates, in_sections
 
 _ROWS = 300  # of a covariance of the past
@@ -33,6 +34,8 @@ _BINS = 1 << 14  # that orders are compared in
 _REAL = 4  # real poles at most beside modes whose number is given
 _SAME = 1e-13  # of the variance of outputs: what others leave of one that is a combination of these
 _PATIENCE = 8  # states more without a better criterion
+_ROUGH = 20.0  # what a step gains at least before models of set-ups are compared
+_FEW = 3  # of these more without a better criterion
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,17 +44,7 @@ class AmbientOrder:
 
     noise: NoiseSections
     criteria: Criteria
-
-    @property
-    def unknowns(self) -> int:
-        """Number of unknowns, of the covariance as well."""
-        p = len(self.noise.C)
-        return self.noise.unknowns + len(self.noise.sections.x) + p * (p + 1) // 2
-
-    def loss(self, samples: int) -> float:
-        """Geometric mean of the squared prediction errors, of so many samples of each output."""
-        loglik = 0.5 * (2 * self.unknowns - self.criteria.aic)
-        return float(np.exp(-2 * loglik / (samples * len(self.noise.C)) - 1) / (2 * np.pi))
+    loss: float  # geometric mean of the squared prediction errors
 
     @property
     def bic(self) -> float:
@@ -73,7 +66,7 @@ class AmbientFit:
     minimum : Minimum
         Where the likelihood is largest, of outputs less their means, divided by `scales`.
     scales, means : ndarray, shapes (p,) and (E, p)
-        Standard deviation of each output, and its mean in each experiment.
+        Standard deviation of each output, and its mean in each experiment, NaN where it was not measured.
     orders : tuple of AmbientOrder
         Models of ascending order, as their canonical variates have them.
     """
@@ -101,23 +94,38 @@ class AmbientFit:
     @property
     def samples(self) -> int:
         """Number of samples of all outputs."""
-        return self.evaluation.problem.samples * len(self.scales)
+        return self.evaluation.values
 
     @property
     def unknowns(self) -> int:
         """Number of unknowns, means and covariance among them."""
-        return self.evaluation.unknowns + self.means.size
+        return self.evaluation.unknowns + int(np.isfinite(self.means).sum())
+
+    @property
+    def size(self) -> float:
+        """Sum of the logarithms of the scales, of all samples."""
+        return sum(
+            evaluation.problem.samples * float(np.sum(np.log(self.scales[outputs])))
+            for outputs, _, evaluation in self.evaluation.by_set_up
+        )
 
     @cached_property
     def criteria(self) -> Criteria:
         """Likelihood in the units of the data, and the criteria made of it."""
-        size = self.evaluation.problem.samples * float(np.sum(np.log(self.scales)))
-        return Criteria.of(-0.5 * self.evaluation.cost - size, self.unknowns, float(self.samples))
+        return Criteria.of(-0.5 * self.evaluation.cost - self.size, self.unknowns, float(self.samples))
+
+    @property
+    def variances(self) -> Array:
+        """Variance (p,) of the prediction errors of each output, in units of the data."""
+        squares, counts = np.zeros((2, len(self.scales)))
+        for outputs, _, evaluation in self.evaluation.by_set_up:
+            squares[outputs] += evaluation.problem.samples * np.diag(evaluation.covariance)
+            counts[outputs] += evaluation.problem.samples
+        return np.asarray(squares / counts * self.scales**2)
 
     def with_real_shapes(self) -> AmbientFit:
         """The fit of modes each of which moves outputs in phase, or opposed."""
-        before = self.evaluation.problem
-        problem = Problem(before.experiments, before.active, real_shapes=True)
+        problem = self.evaluation.problem.with_real_shapes()
         point = replace(self.evaluation.point, noise=self.noise.of_real_shapes())
         return replace(self, minimum=minimise(problem, point, _tolerance(problem, point)))
 
@@ -131,7 +139,8 @@ def ambient_fit(
     Parameters
     ----------
     channels : sequence of Recording
-        Records without inputs and without missing samples, of the same outputs and the same step.
+        Records without inputs, of the same step and the same outputs, each of which was measured throughout a record or
+        not at all.
     order, real_poles : int, optional
         Numbers of modes and of real poles; by default those that the criterion prefers.
     max_order : int
@@ -145,7 +154,8 @@ def ambient_fit(
     Returns
     -------
     AmbientFit or None
-        None where the records are too short for any model, or an output is a combination of others.
+        None where the records are too short for any model, an output is a combination of others, or none was measured
+        in all of them.
 
     Notes
     -----
@@ -153,7 +163,7 @@ def ambient_fit(
     states on the way, O(T p^3 N^2) a step of those that are refined.
     """
     data = _Standardised.of(channels)
-    if data.longest < 2 or not data.is_independent:
+    if data.longest < 2 or not (len(data.references) and data.is_independent):
         return None
     more = real_poles if real_poles is not None else _REAL if order is not None else 1
     most = 2 * (max_order if order is None else order) + more
@@ -201,7 +211,7 @@ def _telling(
 
     def tell(step: int, evaluation: LikelihoodEvaluation) -> None:
         if report is not None:
-            report(step, float(np.exp(np.linalg.slogdet(evaluation.covariance)[1] / evaluation.p)))
+            report(step, _loss(evaluation))
 
     return tell
 
@@ -216,10 +226,14 @@ class _Models:
 
 @dataclass(frozen=True, eq=False)
 class _Standardised:
-    """Records less their means, of variance 1, and the longest past that they show."""
+    """Records less their means, of variance 1, and the longest past that they show.
+
+    `outputs` are those that each record shows, at their places `shown` among all.
+    """
 
     problem: Problem
     outputs: list[Array]
+    shown: list[Indices]
     scales: Array
     means: Array
 
@@ -227,18 +241,31 @@ class _Standardised:
     def of(cls, channels: Sequence[Recording]) -> _Standardised:
         """Those of recordings."""
         means = np.stack([channel.y.mean(axis=1) for channel in channels])
-        outputs = [channel.y - mean[:, None] for channel, mean in zip(channels, means, strict=True)]
-        samples = sum(y.shape[1] for y in outputs)
-        scales = np.sqrt(sum(np.sum(y**2, axis=1) for y in outputs) / samples)
-        outputs = [y / scales[:, None] for y in outputs]
+        shown = [np.flatnonzero(np.isfinite(mean)) for mean in means]
+        triples = zip(channels, means, shown, strict=True)
+        outputs = [channel.y[rows] - mean[rows, None] for channel, mean, rows in triples]
+        squares, counts = np.zeros((2, means.shape[1]))
+        for rows, y in zip(shown, outputs, strict=True):
+            squares[rows] += np.sum(y**2, axis=1)
+            counts[rows] += y.shape[1]
+        scales = np.sqrt(squares / counts)
+        outputs = [y / scales[rows, None] for rows, y in zip(shown, outputs, strict=True)]
         problem = Problem([Experiment.of_outputs(y) for y in outputs], np.zeros((0, len(scales)), bool))
-        return cls(problem, outputs, scales, means)
+        if any(len(rows) < len(scales) for rows in shown):
+            problem = SetUpsProblem(problem, shown)
+        return cls(problem, outputs, shown, scales, means)
+
+    @property
+    def references(self) -> Indices:
+        """Outputs that all records show."""
+        return np.flatnonzero(np.isfinite(self.means).all(axis=0))
 
     @property
     def is_independent(self) -> bool:
         """Whether no output is a combination of others."""
-        S = sum(y @ y.T for y in self.outputs) / self.problem.samples
-        return bool(np.linalg.eigvalsh(S).min() > len(S) * _SAME)
+        together = len(self.references) == len(self.scales)
+        parts = [np.concatenate(self.outputs, axis=1)] if together else self.outputs
+        return all(np.linalg.eigvalsh(y @ y.T / y.shape[1]).min() > len(y) * _SAME for y in parts)
 
     @property
     def longest(self) -> int:
@@ -246,17 +273,19 @@ class _Standardised:
         return longest_past(self.outputs, _ROWS)
 
     def models(
-        self, most: int, automatic: bool = False, reports: Callable[[int], Report | None] = lambda order: None
-    ) -> _Models:
+        self, most: int, automatic: bool = False, reports: Callable[[int], Report | None] = lambda order: None,
+        horizons: Sequence[float] = _HORIZONS,
+    ) -> _Models:  # fmt: skip
         """Models of up to so many states; none beyond those that the criterion prefers, where that is to choose."""
+        if isinstance(self.problem, SetUpsProblem):
+            return self._models_of_set_ups(self.problem.thinned(_BINS), most, automatic, reports)
         samples = self.problem.samples
         R = np.asarray(sum(cross_correlations(y, 2 * self.longest) for y in self.outputs)) / samples
-        thinned = [experiment.thinned(max(1, len(experiment.z) // _BINS)) for experiment in self.problem.experiments]
-        coarse = Problem(thinned, self.problem.active)
+        coarse = self.problem.thinned(_BINS)
         nothing = _judged(coarse, NoiseSections.without_states(len(self.scales)))
         best = {0: nothing} if nothing is not None else {}
         try:
-            for share in _HORIZONS:
+            for share in horizons:
                 horizon = max(2, round(share * self.longest))
                 variates, worse = CanonicalVariates(R[: 2 * horizon + 1]), 0
                 for states in range(1, min(most, variates.largest // 2) + 1):
@@ -267,12 +296,55 @@ class _Standardised:
                         kept = model.noise.states  # less those that no continuous motion has
                         best[kept] = min(best.get(kept, model), model, key=lambda each: each.bic)
                         if (report := reports(model.order)) is not None:
-                            report(states, model.loss(samples))
+                            report(states, model.loss)
                     if automatic and worse > _PATIENCE:
                         break
         except KeyboardInterrupt:
             return _Models(tuple(best[states] for states in sorted(best)), True)
         return _Models(tuple(best[states] for states in sorted(best)), False)
+
+    def _models_of_set_ups(
+        self, coarse: SetUpsProblem, most: int, automatic: bool, reports: Callable[[int], Report | None]
+    ) -> _Models:
+        """Models near to their maximum of the likelihood.
+
+        They begin with those of the outputs that all records show, which may be at the nodes of a mode, and of each
+        set-up by itself.
+        """
+        parts = [self._among(np.arange(len(self.outputs)), self.references)]
+        parts += [self._among(each.members, each.outputs) for each in coarse.set_ups]
+        begun, interrupted = dict[int, list[InnovationsModel]](), False
+        for part in parts:
+            models = part.models(most, automatic, reports, _HORIZONS if part is parts[0] else _HORIZONS[1:2])
+            for model in models.best:
+                noise = part.seen_by(self.references, model.noise)
+                if noise is not None:
+                    begun.setdefault(noise.states, []).append(coarse.extended(noise, self.references))
+            interrupted = interrupted or models.interrupted
+        best = list[AmbientOrder]()
+        for states in sorted(begun):
+            start = min(begun[states], key=lambda point: coarse.evaluated(point).cost)
+            end = minimise(coarse, start, _ROUGH, 0 if interrupted else _STEPS)
+            if np.isfinite(end.evaluation.cost):
+                best.append(_order_of(end.evaluation))
+            interrupted = interrupted or end.interrupted
+            if automatic and len(best) > _FEW and min(best, key=lambda each: each.bic) not in best[-_FEW:]:
+                break
+        return _Models(tuple(best), interrupted)
+
+    def _among(self, members: Indices, rows: Indices) -> _Standardised:
+        """Some of the outputs of some of the records, which all show them."""
+        outputs = [self.outputs[place][np.searchsorted(self.shown[place], rows)] for place in members.tolist()]
+        problem = Problem([Experiment.of_outputs(y) for y in outputs], np.zeros((0, len(rows)), bool))
+        shown = [rows] * len(outputs)
+        return _Standardised(problem, outputs, shown, self.scales[rows], self.means[np.ix_(members, rows)])
+
+    def seen_by(self, rows: Indices, noise: NoiseSections) -> NoiseSections | None:
+        """What some of the outputs of records that show the same see of a model; None where they have no predictor."""
+        places = np.searchsorted(self.shown[0], rows)
+        if len(places) == len(self.shown[0]):
+            return noise
+        return noise.seen_by(places, self.problem.evaluated(_point(self.problem, noise)).covariance)
 
 
 def orders_of(channels: Sequence[Recording], most: int) -> list[tuple[ComplexArray, ComplexArray]]:
@@ -304,7 +376,16 @@ def _started(problem: Problem, variates: CanonicalVariates, states: int) -> Ambi
 
 def _judged(problem: Problem, noise: NoiseSections) -> AmbientOrder | None:
     evaluation = problem.evaluated(_point(problem, noise))
-    return AmbientOrder(noise, _criteria(evaluation)) if np.isfinite(evaluation.cost) else None
+    return _order_of(evaluation) if np.isfinite(evaluation.cost) else None
+
+
+def _order_of(evaluation: LikelihoodEvaluation) -> AmbientOrder:
+    return AmbientOrder(evaluation.point.noise, _criteria(evaluation), _loss(evaluation))
+
+
+def _loss(evaluation: LikelihoodEvaluation) -> float:
+    """Geometric mean of the squared prediction errors."""
+    return float(np.exp(evaluation.cost / evaluation.values - 1) / (2 * np.pi))
 
 
 def _point(problem: Problem, noise: NoiseSections) -> InnovationsModel:
@@ -313,8 +394,7 @@ def _point(problem: Problem, noise: NoiseSections) -> InnovationsModel:
 
 
 def _criteria(evaluation: LikelihoodEvaluation) -> Criteria:
-    rows = float(evaluation.problem.samples * evaluation.p)
-    return Criteria.of(-0.5 * evaluation.cost, evaluation.unknowns, rows)
+    return Criteria.of(-0.5 * evaluation.cost, evaluation.unknowns, float(evaluation.values))
 
 
 def shapes_of(noise: NoiseSections) -> ComplexArray:

@@ -156,6 +156,19 @@ class Problem:
         """The prediction errors of a model."""
         return LikelihoodEvaluation(self, point)
 
+    def that_forgets(self, point: InnovationsModel, like: LikelihoodEvaluation) -> InnovationsModel:
+        """The model of the same spectrum whose predictor forgets, with the covariance of an evaluation."""
+        return replace(point, noise=point.noise.that_forgets(like.covariance))
+
+    def with_real_shapes(self) -> Problem:
+        """The same data for outputs that see the first state of each mode alone."""
+        return Problem(self.experiments, self.active, real_shapes=True)
+
+    def thinned(self, most: int) -> Problem:
+        """The same with so many bins of each experiment at most, about; of outputs alone."""
+        experiments = [each.thinned(max(1, len(each.z) // most)) for each in self.experiments]
+        return Problem(experiments, self.active, real_shapes=self.real_shapes)
+
     def _sections(self, x: Array, before: Sections) -> Sections:
         """Sections with other coordinates; complex or real as before, where numbers belong to each of their poles."""
         sections = before.moved(x)
@@ -192,7 +205,7 @@ class Problem:
 
     def numbers_before_shared(self, noise: NoiseSections) -> int:
         """How many numbers, of sections and of the noise, come before those that inputs drive."""
-        return len(noise.x) + 2 * noise.C.size if self.coloured else len(noise.sections.x)
+        return len(noise.x) + noise.C.size + noise.K.size if self.coloured else len(noise.sections.x)
 
     def driven_best(self, point: InnovationsModel) -> InnovationsModel:
         """The model whose numbers beside poles and noise are best in this noise: errors are linear in them."""
@@ -276,9 +289,19 @@ class LikelihoodEvaluation:
         return len(self.problem.vector(self.point)) - self.bases.shape[1] + self.p * (self.p + 1) // 2
 
     @property
+    def values(self) -> int:
+        """Number of samples of all outputs."""
+        return self.problem.samples * self.p
+
+    @property
+    def by_set_up(self) -> list[tuple[Indices, Indices, LikelihoodEvaluation]]:
+        """Outputs, experiments and evaluation of each set-up of sensors: here there is one."""
+        return [(np.arange(self.p), np.arange(len(self.problem.experiments)), self)]
+
+    @property
     def bic(self) -> float:
         """Value of that criterion."""
-        return self.cost + self.unknowns * float(np.log(self.problem.samples * self.p))
+        return self.cost + self.unknowns * float(np.log(self.values))
 
     @cached_property
     def covariance(self) -> Array:
@@ -535,7 +558,7 @@ class LikelihoodEvaluation:
         if not self.problem.coloured:
             return np.zeros((size, 0))
         noise, first = self.point.noise, len(self.point.noise.x)
-        inner, matrices = noise.bases(self.problem.real_shapes, self.point.states), 2 * noise.C.size
+        inner, matrices = noise.bases(self.problem.real_shapes, self.point.states), noise.C.size + noise.K.size
         bases = np.zeros((size, inner.shape[1] + len(self._held)))
         bases[first : first + matrices, : inner.shape[1]] = inner[:matrices]
         bases[size - (len(inner) - matrices) :, : inner.shape[1]] = inner[matrices:]
@@ -615,7 +638,7 @@ def minimise(
                 step = -cho_solve(factor, gradient) / lengths
                 point = problem.point(x + step, best.point)
                 if problem.coloured:  # zeros of the noise on the unit circle are no border
-                    point = replace(point, noise=point.noise.that_forgets(best.covariance))
+                    point = problem.that_forgets(point, best)
                 trial = problem.evaluated(point)
                 if trial.cost < best.cost:
                     break

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, Indices
 from ..regression.sections import Sections
 
 _WELL = 1e6  # condition of the modes of a predictor
@@ -70,7 +70,7 @@ class NoiseSections:
     @property
     def unknowns(self) -> int:
         """Lags, and numbers in `C` and `K` but for the bases of the sections, which are free."""
-        return len(self.lags) + 2 * self.C.size - self.states
+        return len(self.lags) + self.C.size + self.K.size - self.states
 
     @property
     def rates(self) -> Array:
@@ -145,13 +145,20 @@ class NoiseSections:
         with np.errstate(over="ignore", invalid="ignore"):
             if self.is_stable or not np.isfinite(self.A).all():
                 return self
-            KR = self.K @ covariance
+        return self.seen_by(np.arange(len(self.C)), covariance) or self
+
+    def seen_by(self, outputs: Indices, covariance: Array) -> NoiseSections | None:
+        """The predictor of some outputs alone, of innovations of all of covariance (p, p); None where there is none."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            C, R, S = self.C[outputs], covariance[np.ix_(outputs, outputs)], self.K @ covariance[:, outputs]
+            if not self.states:
+                return self.moved(self.sections, C, S)
             try:
-                P = solve_discrete_are(self.A.T, self.C.T, KR @ self.K.T, covariance, s=KR)
-                K = np.linalg.solve(self.C @ P @ self.C.T + covariance, (self.A @ P @ self.C.T + KR).T).T
+                P = solve_discrete_are(self.A.T, C.T, self.K @ covariance @ self.K.T, R, s=S)
+                K = np.linalg.solve(C @ P @ C.T + R, (self.A @ P @ C.T + S).T).T
             except (np.linalg.LinAlgError, ValueError):
-                return self
-        return self.moved(self.sections, self.C, np.asarray(K, float))
+                return None
+        return self.moved(self.sections, C, np.asarray(K, float))
 
     @cached_property
     def _predictor(self) -> tuple[ComplexArray, ComplexArray, ComplexArray] | None:
@@ -229,7 +236,7 @@ class NoiseSections:
                 row[place] = -block @ start[place]
             directions.append(np.concatenate([C.ravel(), K.ravel(), moved.ravel()]))
         if not directions:
-            return np.zeros((2 * self.C.size + len(starts) * self.states, 0))
+            return np.zeros((self.C.size + self.K.size + len(starts) * self.states, 0))
         return np.asarray(np.linalg.qr(np.array(directions).T)[0])
 
     def _commuting(self, real_shapes: bool) -> Iterator[tuple[int, Array]]:
