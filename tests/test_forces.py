@@ -296,6 +296,34 @@ def test_noise_with_nothing_at_frequency_zero_leaves_errors_that_hold():
 
 
 @pytest.mark.slow
+def far_from_the_force(seed, samples=3000):
+    """Held force on the first of three masses, and the velocity of the last, which other forces move as much."""
+    M, k = np.array([2.0, 2.0, 1.5]), np.array([0.8, 0.6, 0.5])
+    K = np.diag(k + np.append(k[1:], 0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+    A = np.block([[np.zeros((3, 3)), np.eye(3)], [-K / M[:, None], -0.02 * K / M[:, None]]])
+    system = np.block([[A, np.concatenate([np.zeros((3, 3)), np.diag(1 / M)])], [np.zeros((3, 9))]])
+    rng, early, fine, outputs = np.random.default_rng(seed), 1000, 8, []
+    u = rng.standard_normal(samples + early)
+    others = rng.standard_normal((3, fine * len(u)))
+    for often, force in ((1, np.outer([1, 0, 0], u)), (fine, others)):
+        step = expm(system / often)
+        values, V = np.linalg.eig(step[:6, :6])
+        modal = np.linalg.solve(V, step[:6, 6:] @ force)
+        states = [lfilter([0, 1], [1, -value], row) for value, row in zip(values, modal, strict=True)]
+        outputs.append((V @ np.array(states)).real[5, ::often][early:])
+    y, moved = outputs
+    y = y + moved * y.std() / moved.std()
+    return u[early:], y + 0.05 * y.std() * rng.standard_normal(samples)
+
+
+@pytest.mark.parametrize("seed", [6, *slowly(5)])
+def test_the_hold_is_told_beside_forces_wherever_the_sensor_is(seed):
+    # residues are real with the hold that there was; the default takes the sensor to be where the force is
+    result = phc.pem(far_from_the_force(seed), dt=1.0)
+    assert result.order == 3 and result.intersample == "zoh" and "HOLD" not in causes(result)
+    assert np.all(np.abs(result.residues.imag) < 4 * result.stderr["residues"].imag)
+
+
 def test_poles_that_stand_for_coloured_noise_do_not_grow():
     u, y, _ = shaken(9)
     assert phc.pem((u, y), dt=1.0).poles.real.max() * len(u) < 1.0

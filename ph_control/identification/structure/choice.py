@@ -64,6 +64,8 @@ class Choice:
     def cost(self) -> float:
         """BIC of the structure with its delays, for as many rows as the data have without them."""
         free = self.free
+        if free.beside is not None:  # rows about the minimum of a likelihood are those of no other
+            return bic_of(self.fit.structure, free, self.tests)
         rows = sum(int(record.observed.sum()) for record in free.channels) * (1 + free.per_entry)
         delays = 0 if self.fit.delays else len(np.unique(free.delay[free.delay != 0]))
         return float(rows * cost_of(self.fit, free.scales) + delays * np.log(rows))
@@ -81,6 +83,14 @@ class Choice:
         projection = self.free.projection
         unknowns = len(projection.x) + int(projection.shown.sum()) - projection.deficiency
         return likelihood_test(projection, self.fit, max(0, unknowns - self.fit.parameters)).p >= LEVEL
+
+
+def bic_of(structure: str, free: FreeFit, tests: tuple[HypothesisTest, ...]) -> float:
+    """Return the BIC of a structure from that of the free fit, and the test within it."""
+    charge = float(np.log(free.projection.rows))
+    return free.criteria.bic + sum(
+        test.likelihood_ratio - test.dof * charge for test in tests if test.hypothesis == structure
+    )
 
 
 def layout_of(free: FreeFit, request: Request) -> ChannelLayout:

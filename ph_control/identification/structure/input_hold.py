@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..._options import STRUCTURES
-from ..diagnosis.verdict import HypothesisTest
 from ..regression.tuning import TUNING
 from ..search.findings import HOLDS, Cause, Finding
 from ..search.fitted_modes import FreeFit
-from .choice import Choice, Request, tested
+from .choice import Choice, Request, bic_of, tested
 
 SAME = 1.0  # difference of the BIC of models that are the same
 
@@ -45,31 +44,25 @@ def _under_likelier_hold(first: Choice, request: Request) -> Choice:
         simpler = STRUCTURES[: STRUCTURES.index(first.fit.structure)]
         chosen, tests = tested(rival, request, simpler)
         # noise of a poor fit lets every structure stand, and a true one is rejected by chance
-        stands = chosen.structure in simpler and _bic_of(chosen.structure, rival, tests) < min(
-            _bic_of(structure, free, first.tests) for structure in (first.fit.structure, chosen.structure)
+        stands = chosen.structure in simpler and bic_of(chosen.structure, rival, tests) < min(
+            bic_of(structure, free, first.tests) for structure in (first.fit.structure, chosen.structure)
         )
-        if not (stands or (first.fit.structure == "free" and _is_rather_held_as(rival, tests, free, first.tests))):
+        if not (stands or (first.fit.structure == "free" and _is_rather_held_as(rival, free, request))):
             return first
     second = Choice.of(rival, request)
     return second if request.structure == "auto" or second.gain(first) > TUNING.sure else first
 
 
-def _bic_of(structure: str, free: FreeFit, tests: tuple[HypothesisTest, ...]) -> float:
-    """Return the BIC of a structure from that of the free fit, and the test within it."""
-    charge = float(np.log(free.projection.rows))
-    return free.criteria.bic + sum(
-        test.likelihood_ratio - test.dof * charge for test in tests if test.hypothesis == structure
-    )
-
-
-def _is_rather_held_as(
-    rival: FreeFit, tests: tuple[HypothesisTest, ...], free: FreeFit, free_tests: tuple[HypothesisTest, ...]
-) -> bool:
+def _is_rather_held_as(rival: FreeFit, free: FreeFit, request: Request) -> bool:
     """Whether inputs were rather held as in a rival fit, where no structure stands.
 
-    With what is fed through they are the same model, and only shapes tell them apart.
+    With what is fed through they are the same model, and only shapes tell them apart: real ones are likelier, wherever
+    the sensor is, if no port was given.
     """
-    preferred = free.criteria.bic - rival.criteria.bic
-    if abs(preferred) > SAME:
-        return preferred > 0
-    return _bic_of("classical", free, free_tests) - _bic_of("classical", rival, tests) > 2 * TUNING.sure
+    wanted = replace(request, ports=()) if request.assumed else request
+    costs = np.array([[each.criteria.bic, bic_of("classical", each, tested(each, wanted, ("classical",))[1])]
+                      for each in (free, rival)])  # fmt: skip
+    likelier, more_real = costs.min(axis=1), costs[:, 1]
+    if abs(np.ptp(likelier)) > SAME:
+        return bool(likelier[0] > likelier[1])
+    return bool(more_real[0] - more_real[1] > 2 * TUNING.sure)
