@@ -183,6 +183,24 @@ def test_a_free_decay_is_none(fit):
     assert "under ambient excitation" in fit.summary()
 
 
+def test_a_decay_in_the_wind_is_ambient():
+    t = STEP * np.arange(1500)
+    decays = np.exp(np.outer(2 * np.pi * HERTZ * (-ZETA + 1j * np.sqrt(1 - ZETA**2)), t)).real
+    result = phc.pem((None, 30 * SHAPES @ decays + ambient(1, 1500)), dt=STEP)
+    assert result.order == 3 and result.is_ambient and "CHANGING_MODE" not in causes(result)
+    assert np.all(np.abs(result.damping_ratios - ZETA) < 3 * result.stderr["damping_ratios"])
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_tone_takes_no_mode_of_little_damping_along(seed):
+    t, zeta = STEP * np.arange(2000), np.array([0.002, 0.012, 0.015])
+    y = ambient(seed, 2000, zeta=zeta)
+    y += 0.5 * y.std(axis=1, keepdims=True) * np.sin(2 * np.pi * 6.1 * t + np.arange(3)[:, None])
+    result = phc.pem((None, y), dt=STEP)
+    assert result.order == 3 and causes(result).count("HUM") == 1
+    assert np.all(np.abs(result.damping_ratios - zeta) < 3 * result.stderr["damping_ratios"])
+
+
 def test_white_noise_has_no_modes():
     y = np.linalg.cholesky(0.5 * np.eye(2) + 0.5) @ np.random.default_rng(1).standard_normal((2, 1000))
     for noise in ("auto", "forces"):

@@ -36,9 +36,8 @@ from .result import OrderRow
 
 _FEW_MODES = 4  # that are tried for a motion that may be no decay
 _DECAYED = 4.0  # times the squares of the last quarter of a record in its first
-_FADED = 30.0  # times these: no motion that forces keep up
 _STILL = 3.0  # standard errors, or one over the record, that a decay rate of a tone may have
-_ROUNDS = 3  # of tones that are seen once others are named
+_TONES = 12  # at most
 
 _Search = Callable[[Sequence[Recording]], AmbientFit | None]
 
@@ -72,7 +71,7 @@ def of_outputs_alone(
     faded = _faded(channels)
     complete = faded > _DECAYED or order != "auto"
     result = of_modes() if complete else of_modes(_FEW_MODES)
-    if result.whiteness >= WHITE or not result.success or faded > _FADED:
+    if result.whiteness >= WHITE or not result.success:
         return result
     forced = _of_forces(channels, request, options, order, result)
     if forced is not None:
@@ -161,37 +160,46 @@ def _of_structure(fit: AmbientFit, request: Request) -> tuple[AmbientFit, list[H
 def _beside_tones(
     fit: AmbientFit, channels: Sequence[Recording], search: _Search
 ) -> tuple[AmbientFit, list[Finding]]:  # fmt: skip
-    """The fit beside tones of machines, in place of modes that do not decay, where the criterion agrees."""
+    """The fit beside tones of machines, in place of modes that do not decay, where the criterion agrees.
+
+    One after the other, that of the slowest decay first: a tone must not carry a mode along that only seems still.
+    """
     findings = list[Finding]()
-    for _ in range(_ROUNDS):
-        still = _still(fit, channels)
-        if fit.minimum.interrupted or not len(still):
+    for _ in range(_TONES):
+        trials = (_beside_tone(fit, findings, int(section), channels, search) for section in _still(fit, channels))
+        better = None if fit.minimum.interrupted else next((trial for trial in trials if trial is not None), None)
+        if better is None:
             break
-        known = Tones.of(findings, channels)
-        step = channels[0].dt
-        frequencies = np.append(known.frequencies, fit.noise.sections.root[still] / step)
-        weights = 1.0 / (np.sqrt(_density_at(fit, frequencies * step, still)) * fit.scales)
-        levelled = [data.y - mean[:, None] for data, mean in zip(channels, fit.means, strict=True)]
-        tones = tones_near(frequencies, levelled, [weights] * len(channels), channels)
-        again = search(tones.taken_from(channels))
-        if again is None or again.minimum.interrupted:
-            break
-        charge = (tones.unknowns - known.unknowns) * float(np.log(fit.samples))
-        saved = 0.5 * (fit.criteria.bic - again.criteria.bic - charge)
-        if saved <= 0:
-            break
-        fit, findings = again, tones.findings(saved)
+        fit, findings = better
     return fit, findings
 
 
+def _beside_tone(
+    fit: AmbientFit, findings: Sequence[Finding], section: int, channels: Sequence[Recording], search: _Search
+) -> tuple[AmbientFit, list[Finding]] | None:
+    """The fit beside one more tone, in place of the mode of a section, with all tones; None where that is no better."""
+    known, step = Tones.of(findings, channels), channels[0].dt
+    frequencies = np.append(known.frequencies, fit.noise.sections.root[section] / step)
+    weights = 1.0 / (np.sqrt(_density_at(fit, frequencies * step, np.array([section]))) * fit.scales)
+    levelled = [data.y - mean[:, None] for data, mean in zip(channels, fit.means, strict=True)]
+    tones = tones_near(frequencies, levelled, [weights] * len(channels), channels)
+    again = search(tones.taken_from(channels))
+    if again is None or again.minimum.interrupted:
+        return None
+    charge = (tones.unknowns - known.unknowns) * float(np.log(fit.samples))
+    saved = 0.5 * (fit.criteria.bic - again.criteria.bic - charge)
+    return (again, tones.findings(saved)) if saved > 0 else None
+
+
 def _still(fit: AmbientFit, channels: Sequence[Recording]) -> np.ndarray:
-    """Sections of modes that show no decay, or none that a record could show."""
+    """Sections of modes that show no decay, or none that a record could show, the slowest first."""
     sections, longest = fit.noise.sections, max(data.samples for data in channels)
     modes = np.flatnonzero(sections.square > 0)
     if not len(modes):
         return modes
     errors = np.sqrt(np.maximum(np.diag(fit.evaluation.information_inverse())[modes], 0.0))
-    return modes[sections.decay[modes] < np.maximum(_STILL * errors, 1.0 / longest)]
+    still = modes[sections.decay[modes] < np.maximum(_STILL * errors, 1.0 / longest)]
+    return still[np.argsort(sections.decay[still])]
 
 
 def _density_at(fit: AmbientFit, angles: np.ndarray, still: np.ndarray) -> np.ndarray:
