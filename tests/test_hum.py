@@ -77,6 +77,16 @@ def test_an_order_that_is_given_is_that_of_the_modes(share):
 
 
 @pytest.mark.slow
+def test_hum_beside_a_lag_whose_number_is_given_is_no_coloured_noise():
+    rng, t = np.random.default_rng(0), STEP * np.arange(SAMPLES)
+    u, z = np.repeat(rng.choice([-1.0, 1.0], SAMPLES // 20), 20), np.exp(-STEP / 8)
+    y = lfilter([0, 1 - z], [1, -z], u)
+    y += np.std(y) * (0.05 * rng.standard_normal(SAMPLES) + 0.1 * np.sin(3.1 * t))
+    result = phc.pem((u, y), 0, dt=STEP, real_poles=1, quantity="free")
+    assert [abs(hum.values[0] - 3.1) < 0.01 for hum in hums(result)] == [True]
+    assert abs(result.time_constants[0] - 8) < 3 * result.stderr["time_constants"][0]
+
+
 def test_hum_of_each_experiment_has_its_own_phase():
     pair = [humming(4, 0.1, 5.0), humming(5, 0.3, 5.0)]
     result = phc.pem(pair, dt=STEP)

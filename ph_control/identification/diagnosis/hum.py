@@ -114,12 +114,13 @@ def lines_in(fit: FreeFit, share: float = 0.0) -> Array:
     """Frequencies of single lines that stand out of the spectra of what a fit leaves, with no power about them.
 
     A mode that is missing has a peak that is broader, as inputs drive it all along.  Each line has at least a `share`
-    of the power that is left.
+    of the power that is left of the outputs as measured: coloured noise may take it for a peak of its own.
     """
     if _unfit(fit):
         return np.zeros(0)
     frequencies: list[float] = []
-    for record, predicted in zip(fit.projection.experiments, fit.projection.predictions(), strict=True):
+    measured = fit.projection if fit.measured is None else fit.measured
+    for record, predicted in zip(measured.experiments, measured.predictions(), strict=True):
         assert isinstance(record, FreeRecord)
         count, last = len(record.outputs), (record.length - 1) // 2
         if last < 4 * _BESIDE:
