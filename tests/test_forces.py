@@ -211,6 +211,18 @@ def test_inputs_that_answer_to_outputs_are_no_traces():
     assert np.all(np.abs(result.damping_ratios - ZETA) < 4 * result.stderr["damping_ratios"])
 
 
+def test_forces_that_are_given_are_refused_where_samples_are_missing():
+    u, y = record(3, 300, forces=0.3)
+    y[1, 100] = np.nan
+    with pytest.raises(phc.StructureError, match="1 of 900 samples of outputs are missing, and noise='forces' needs"):
+        fit_of((u, y), noise="forces")
+
+
+def test_a_bootstrap_beside_forces_is_refused(forced):
+    with pytest.raises(phc.StructureError, match="forces that nobody measured come through this plant"):
+        forced.bootstrap(3)
+
+
 def test_a_noise_that_is_unknown_is_refused():
     with pytest.raises(phc.StructureError, match="noise is 'wind'; it must be one of 'auto', 'white', 'correlated'"):
         fit_of(record(0, 300), noise="wind")

@@ -250,9 +250,9 @@ class Resampled:
         check_workers(workers)
         if not self.states:
             raise StructureError("this result has no poles, and there is nothing to refit")
-        if self.is_ambient:
+        if self.is_ambient or (self.noise is not None and self.noise.forces is not None):
             raise StructureError(
-                "this fit is to ambient excitation, whose likelihood has the forces as noise: its stderr and "
+                "forces that nobody measured come through this plant, and are noise of its likelihood: stderr and "
                 "confidence_interval have them; a bootstrap resamples noise beside a known motion"
             )
         if not self.success:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..._types import ComplexArray
+from ...exceptions import StructureError
 from ...modal.modal_form import imaginary
 from ..data.channels import Channels, Recording
 from ..diagnosis.alternatives import Searched, beside_disturbances
@@ -44,6 +45,7 @@ def fit_channels(
     Outputs alone are those of a motion that decays, or of forces that nobody measured, as is likelier.
     """
     order = options.order if order is None else order
+    _refuse_gaps(channels, options.noise)
 
     def of_modes(most: int = options.max_order) -> PEMResult:
         limited = replace(options, max_order=min(most, options.max_order))
@@ -53,6 +55,17 @@ def fit_channels(
         return of_modes()
     recordings = [data for data in channels if isinstance(data, Recording)]
     return of_outputs_alone(recordings, request, options, order, of_modes)
+
+
+def _refuse_gaps(channels: Channels, noise: str) -> None:
+    """Refuse missing samples beside inputs in noise that is given and that outputs share: it has no likelihood then."""
+    driven = [data for data in channels if isinstance(data, Recording) and data.u.any()]
+    missing, count = sum(int(np.sum(~data.observed)) for data in driven), sum(data.y.size for data in driven)
+    if noise in KINDS and missing:
+        raise StructureError(
+            f"{missing} of {count} samples of outputs are missing, and noise={noise!r} needs recordings without gaps: "
+            "cut recordings where samples are missing, into a list, or leave noise out"
+        )
 
 
 def _of_modes_and_inputs(
