@@ -336,6 +336,22 @@ def test_the_hold_is_told_beside_forces_wherever_the_sensor_is(seed):
     assert np.all(np.abs(result.residues.imag) < 4 * result.stderr["residues"].imag)
 
 
+def test_forces_are_found_beside_a_few_hits():
+    _, _, wind, rng = responses(2, 3000)
+    hits = np.zeros(3000)
+    hits[50::600], hits[51::600] = 1.0, 0.6
+    A, B, C, _ = steps()
+    values, V = np.linalg.eig(A)
+    modal = np.linalg.solve(V, np.outer(B[:, 0], hits))
+    states = [lfilter([0, 1], [1, -value], row) for value, row in zip(values, modal, strict=True)]
+    y = (C[:1] @ (V @ np.array(states)).real)[0]
+    y = y + 0.5 * wind[0] * y.std() / wind[0].std() + 0.03 * y.std() * rng.standard_normal(3000)
+    result = phc.pem((hits, y), dt=1.0, intersample="zoh")
+    assert result.order == 3 and "FORCES" in causes(result) and "CHANGING_NOISE" not in causes(result)
+    assert np.all(np.abs(result.natural_frequencies - W) < 3 * result.stderr["natural_frequencies"])
+    assert np.all(np.abs(result.damping_ratios - ZETA) < 3 * result.stderr["damping_ratios"])
+
+
 def test_poles_that_stand_for_coloured_noise_do_not_grow():
     u, y, _ = shaken(9)
     assert phc.pem((u, y), dt=1.0).poles.real.max() * len(u) < 1.0

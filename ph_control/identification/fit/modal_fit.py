@@ -123,15 +123,16 @@ def _of_modes_and_inputs(
 
 
 def _in_noise_of(noise: str, structure: str, fit: FreeFit, orders: Orders) -> FreeFit:
-    """A fit in the noise that is given, or the likeliest; where hits act in a part of a record, noise may change.
+    """A fit in the noise that is given, or the likeliest.
 
-    Through a plant that is given as lossless forces that nobody measured would make motion without end.
+    Where inputs of lags act in a part of a record, noise may rather change.  Through a plant that is given as lossless
+    forces that nobody measured would make motion without end.
     """
     records = [rows for rows in fit.projection.experiments if isinstance(rows, FreeRecord)]
     if any(rows.level is not None for rows in records):
         return fit
     if noise == "auto":
-        if any(is_short(rows) for rows in records):
+        if not fit.order and any(is_short(rows) for rows in records):
             return fit
         return beside_forces(fit, KINDS[:1] if structure == "lossless" else KINDS, orders=orders)
     return beside_forces(fit, (noise,), certain=True, orders=orders) if noise in KINDS else fit
