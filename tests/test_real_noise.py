@@ -4,6 +4,7 @@ import control as ct
 import numpy as np
 import pytest
 from noisy_plants import DELAY, SHARE, SIZES, plant, recording, response
+from scipy.signal import lfilter
 from slow import slowly
 
 import ph_control as phc
@@ -128,6 +129,17 @@ def test_a_value_far_out_of_the_noise_is_told_with_its_output(outputs, inputs):
     assert (finding.values, finding.output) == ((333,), result.output_labels[0])
     assert "mark them with NaN" in result.message and result.outcome.name == "DOUBTFUL"
     assert result.message.startswith("Doubtful, as some values") and "explains the data" not in result.message
+
+
+def test_two_per_cent_of_wild_samples_are_named_in_a_short_record():
+    rng, z = np.random.default_rng(1), np.exp(-1 / 12)
+    u = np.repeat(rng.choice([0.0, 10.0], 13), 20)[:250]
+    y = 60 + lfilter([0.0, 1.5 * (1 - z)], [1.0, -z], u) + 0.1 * rng.standard_normal(250)
+    wild = np.sort(rng.choice(250, 5, replace=False))
+    y[wild] += 3.0
+    result = phc.pem((u, y), dt=1.0, quantity="free")
+    assert causes(result)["OUTLIERS"].values == tuple(wild)
+    assert abs(result.time_constants[0] - 12) < 3 * result.stderr["time_constants"][0]
 
 
 def test_an_output_that_saturates_is_told_with_the_ends_of_its_range():

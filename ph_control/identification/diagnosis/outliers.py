@@ -15,7 +15,7 @@ from ..data.time_record import LONG
 
 _BY_CHANCE = 1e-4  # probability that noise alone shows one anywhere
 _FEWEST = 20  # residuals to spare below which nothing is said
-_SHARE = 0.01  # of the samples: with more of them the noise has another distribution, or another level in places
+_SHARE = 0.03  # of the samples: with more of them the noise has another distribution, or another level in places
 _REPEATED = 5  # samples with the largest value of all, below which nothing is said of the range
 _OFTEN = 2.0  # times as many of them as of the values next to it
 _NEAR = 0.01, 0.1  # of the range: what is next to its end, and how far to look for that
