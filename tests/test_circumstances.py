@@ -52,6 +52,18 @@ def test_a_drift_of_a_third_of_the_motion_is_named_in_a_short_record():
     assert (result.order, len(result.real_poles)) == (1, 0) and causes(result).keys() == {"DRIFT", "LOSSES"}
 
 
+@pytest.mark.parametrize("seed", [1, *slowly(4, 5)])
+def test_a_drift_beside_a_constant_is_no_pole_that_grows(seed):
+    rng, y = np.random.default_rng(seed), np.zeros(1500)
+    u = rng.standard_normal(1500)
+    for p, residue in ((-0.01 + 0.3j, 1.0), (-0.02 + 1.2j, 0.7)):
+        z = np.exp(p)
+        y += 2 * np.real(residue * lfilter([0, (z - 1) / p], [1, -z], u + 0j))
+    y += np.std(y) * (0.1 * rng.standard_normal(1500) + 3 + 0.5 * np.linspace(0, 1, 1500))
+    result = phc.pem((u, y), dt=1.0)
+    assert (result.order, len(result.real_poles)) == (2, 0) and "DRIFT" in causes(result)
+
+
 @pytest.mark.slow
 def test_a_drift_of_the_sensor_is_estimated_and_named():
     samples = 600
