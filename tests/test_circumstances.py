@@ -223,6 +223,21 @@ def test_a_delay_of_a_damped_plant_is_named_and_none_where_there_is_none(drift, 
         np.testing.assert_allclose(late.damping_ratios, on_time.damping_ratios, rtol=0.02)
 
 
+@pytest.mark.parametrize("seed", [4, *slowly(3)])
+def test_samples_that_are_missing_do_not_make_coloured_noise_modes(seed):
+    rng, y = np.random.default_rng(seed), np.zeros(1500)
+    u = rng.standard_normal(1500)
+    for p, residue in ((-0.01 + 0.3j, 1.0), (-0.02 + 1.2j, 0.7)):
+        z = np.exp(p)
+        y += 2 * np.real(residue * lfilter([0, (z - 1) / p], [1, -z], u + 0j))
+    y += 0.1 * np.std(y) * lfilter([0.436], [1, -0.9], rng.standard_normal(1500))
+    y[rng.random(1500) < 0.1] = np.nan
+    result = phc.pem((u, y), dt=1.0)
+    assert (result.order, len(result.real_poles)) == (2, 0) and result.noise.orders[0] > 0
+    errors = result.poles - np.array([-0.01 + 0.3j, -0.02 + 1.2j])
+    assert np.all(np.abs(errors) < 5 * result.stderr["natural_frequencies"])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *slowly(1)])
 def test_coloured_noise_is_named_and_adds_no_modes(seed):

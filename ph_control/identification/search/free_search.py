@@ -290,7 +290,10 @@ class Records(FreeSearch):
             ]
             lengths = [length for length, _ in seen]
             rows = correlations([part[0] for _, part in seen], lengths)
-            sums = rows
+            masks = [np.fft.rfft(record.observed.astype(float)) for record in self.data if output in record.outputs]
+            pairs_seen = correlations(masks, lengths)
+            # of means over the pairs of samples that were both measured
+            sums = rows * pairs_seen[0] / np.maximum(pairs_seen, 1.0)
             if self.innovations and len(b := self.innovations[output]) > 1:
                 sums = correlations([_unfiltered(part[0], b, length) for length, part in seen], lengths)
             models, variances = autoregression(sums, min(lengths))
