@@ -269,7 +269,8 @@ def _of_forces(finding: Finding, terms: _Terms) -> str:
     return (
         f"Forces that were not measured, or noise of the recorded inputs, move the plant ({_gain(finding)}): of the "
         f"outputs {' to '.join(shares)} is no response to the inputs. Errors and tests are those beside such forces; "
-        "more force, or a longer record, makes them smaller."
+        "more force, or a longer record, makes them smaller. Noise of the inputs also makes residues smaller, by its "
+        "share of their squares."
     )
 
 
