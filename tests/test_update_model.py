@@ -132,6 +132,41 @@ def test_a_combination_without_a_trace_has_infinite_errors():
     assert abs(update.parameters[0] * update.parameters[1] - 70) < 2
 
 
+def tower(theta, foot=None):
+    """Damping in proportion to the stiffness, unless another damper is at the foot."""
+    dashpot = 1.5 * theta[1] if foot is None else foot
+    masses = [300.0, 200.0, 100.0]
+    return phc.spring_chain(masses, theta[0], ground=[6e5, 0, 0], c=theta[1], ground_c=[dashpot, 0, 0], port=2)
+
+
+@functools.cache
+def tower_fit(structure, foot=None):
+    rng = np.random.default_rng(1)
+    u = 100 * rng.standard_normal(2000)
+    y = phc.forced_response(tower([4e5, 150.0], foot), 0.005 * np.arange(2000), u, intersample="zoh").outputs
+    y = y + 0.05 * y.std() * rng.standard_normal(2000)
+    return phc.pem((u, y), 3, dt=0.005, structure=structure, noise="white", intersample="zoh")
+
+
+def test_a_fit_with_real_shapes_does_not_update_a_model_of_complex_ones():
+    def model(theta):
+        return tower(theta, 100.0)
+
+    result = tower_fit("classical", 100.0)
+    assert result.tests[0].p > 0.05  # though the data do not reject them
+    with pytest.raises(StructureError, match=r"fit of structure 'classical'.*structure='free'"):
+        phc.update_model(model, [3e5, 100.0], result)
+    update = phc.update_model(model, [3e5, 100.0], tower_fit("free", 100.0))
+    assert np.all(np.abs(update.parameters - [4e5, 150.0]) < 4 * update.stderr) and update.p > 1e-3
+
+
+def test_a_fit_with_real_shapes_updates_a_model_of_real_ones_as_a_free_fit_does():
+    updates = [phc.update_model(tower, [3e5, 100.0], tower_fit(structure)) for structure in ("classical", "free")]
+    for update in updates:
+        assert np.all(np.abs(update.parameters - [4e5, 150.0]) < 4 * update.stderr) and update.p > 1e-3
+    assert np.allclose(updates[0].stderr, updates[1].stderr, rtol=0.02)
+
+
 def test_a_bound_holds():
     update = phc.update_model(building, np.full(4, 100.0), fit(), bounds=(80.0, 150.0))
     assert update.parameters[1] == 80.0 and np.isnan(update.stderr[1])

@@ -31,6 +31,8 @@ from .physical_modes import PhysicalModes
 
 ModalQuantity = Literal["natural_frequencies", "damping_ratios", "residues", "shapes"]
 _RANK = 1e-9  # of the largest eigenvalue of the correlations: a direction that the fit has fixed
+_FIXED = 1.0  # standard errors: how far along such directions a model may be
+_CURVED = 0.1  # of the distance along all others: the same, as the models of a structure are nearly a plane
 _SETTLED = 1e-6  # of the sum of squares, whose standard deviation is at least 1: a decrease that is none
 _ROUNDS = 19
 _DAMPED = 1e-9  # damping ratio from which on a model has losses
@@ -167,7 +169,7 @@ def update_model(
     theta0 : array_like, shape (P,), or mapping from name to value
         Where the parameters start.
     result : PEMResult
-        Fitted modes with their covariance.
+        Fitted modes with their covariance, best of a fit with ``structure="free"``: `f` is the structure.
     bounds : pair of array_like, optional
         Lower and upper bounds of the parameters, numbers or vectors (P,).
     quantities : sequence of {'natural_frequencies', 'damping_ratios', 'residues', 'shapes'}, optional
@@ -188,7 +190,8 @@ def update_model(
     Raises
     ------
     StructureError
-        If an argument is not of this form, or the fit has no modes.
+        If an argument is not of this form, or the fit has no modes; if it has a structure, such as classical damping,
+        that the model has not.
 
     See Also
     --------
@@ -200,6 +203,9 @@ def update_model(
     error and correlations, those of shapes by `shape_stderr`.  Modes are paired by frequency and modal assurance at the
     measured outputs, anew after each step.  Gauss-Newton steps by differences, at most 20 calls of `f` for each
     parameter.  Where `p` is small the model does not agree with the modes, and errors are too small.
+
+    A fit with real shapes has no errors of their phases, and moves its frequencies and damping ratios to suit: it says
+    nothing of a model whose shapes are complex, though the data reject neither.  Such a model is refused.
 
     Examples
     --------
@@ -238,6 +244,7 @@ class _FittedTarget:
     quantities: tuple[str, ...]
     outputs: Indices
     time_unit: str | None
+    structure: str
 
     @classmethod
     def of(cls, result: Any, function: ModelFunction, quantities: Any, outputs: Any, modes: Any) -> _FittedTarget:
@@ -279,7 +286,7 @@ class _FittedTarget:
         ]).astype(int)  # fmt: skip
         return cls(
             result.poles[some], result.shapes[some], result.residues[some], result.covariance[np.ix_(places, places)],
-            result.shape_stderr[some], tuple(chosen), measured, result.time_unit,
+            result.shape_stderr[some], tuple(chosen), measured, result.time_unit, result.structure,
         )  # fmt: skip
 
     def places(self, model: PhysicalModes) -> tuple[Indices, Array]:
@@ -342,6 +349,22 @@ class _FittedTarget:
     @cached_property
     def whitening(self) -> Array:
         """Rows that turn differences into numbers of variance 1; directions that the fit has fixed are left out."""
+        return self._directions[0]
+
+    def refuse_beyond(self, apart: Array) -> None:
+        """Refuse differences along directions that the fit has fixed: those it has left say nothing of such a model."""
+        free, fixed = (float(np.linalg.norm(rows @ apart)) for rows in self._directions)
+        allowed = max(_FIXED, _CURVED * free)
+        if fixed > allowed:
+            raise StructureError(
+                f"the modes of the updated model are {fixed:.3g} standard errors from all that a fit of structure "
+                f"{self.structure!r} can be, and {allowed:.3g} is allowed: its errors hold along that structure only; "
+                "update the model by a fit with structure='free'"
+            )
+
+    @cached_property
+    def _directions(self) -> tuple[Array, Array]:
+        """Rows for differences: those of variance 1, and those of none, in standard errors of what they combine."""
         n, size = len(self.poles), self.residues[0].size
         kept = np.concatenate([
             np.full(n, "natural_frequencies" in self.quantities), np.full(n, "damping_ratios" in self.quantities),
@@ -354,9 +377,9 @@ class _FittedTarget:
         deviations = np.sqrt(np.diag(C)[known])
         values, vectors = np.linalg.eigh(C[np.ix_(known, known)] / np.outer(deviations, deviations))
         shown = values > _RANK * values.max(initial=0.0)
-        rows = np.zeros((int(shown.sum()), len(C)))
-        rows[:, known] = (vectors[:, shown] / np.sqrt(values[shown])).T / deviations
-        return rows
+        rows = np.zeros((len(values), len(C)))
+        rows[:, known] = vectors.T / deviations
+        return rows[shown] / np.sqrt(values[shown, None]), rows[~shown]
 
     def _shape_covariance(self, k: int) -> Array:
         """Covariance of what a fitted shape is apart from the true one, by the errors of its entries."""
@@ -493,6 +516,7 @@ def _updated(function: ModelFunction, target: _FittedTarget, prior: Array | None
             step = step if better is None else better
             break
         step = better
+    target.refuse_beyond(target.goal - target.numbers(step.model, step.pairs[0]))
     return _report(first, step, success)
 
 
