@@ -54,6 +54,17 @@ def mixed():
     return phc.pem(spectrum(MIXED))
 
 
+def test_elements_of_data_in_milliseconds_are_in_henry_and_farad(mixed):
+    data = ct.frd(np.squeeze(spectrum(MIXED).frdata), 1e-3 * spectrum(MIXED).omega)
+    data.time_unit = "ms"
+    fit = phc.pem(data)
+    circuit, same = phc.netlist(fit, kind="impedance"), phc.netlist(mixed, kind="impedance")
+    assert values(circuit) == pytest.approx(values(same), rel=1e-6)
+    assert errors(circuit) == pytest.approx(errors(same), rel=1e-4)
+    written, expected = (phc.netlist(each.system, "state-space", kind="impedance") for each in (fit, mixed))
+    assert values(written) == pytest.approx(values(expected), rel=1e-4)
+
+
 # --- values and errors -----------------------------------------------------------------------------------------------
 
 

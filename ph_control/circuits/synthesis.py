@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from .. import _checks
 from .._options import CIRCUIT_FORMS, IMMITTANCES, CircuitForm, Immittance
 from .._types import Array
+from .._units import SECONDS, common_unit
 from ..exceptions import StructureError
 from .controlled import controlled_sources
 from .elements import Element, Netlist
@@ -60,6 +62,9 @@ def netlist(sys: Any, form: CircuitForm | None = None, *, kind: Immittance = "ad
 
     Notes
     -----
+    SPICE counts in seconds: of a fit or system of a known unit of time elements are in henry and farad, and else in the
+    unit that frequencies have.
+
     Of an admittance a mode `kappa s / (s^2 + 2 zeta d s + d^2)` is the branch `L = 1/kappa`, `R = 2 zeta d/kappa`,
     `C = kappa/d^2`, and a pole at 0 the inductor `1/kappa_0`; of an impedance the dual tank.  The form 'foster1' of an
     admittance, and 'foster2' of an impedance, are made of the zeros in the same way.
@@ -105,6 +110,16 @@ def netlist(sys: Any, form: CircuitForm | None = None, *, kind: Immittance = "ad
     C1 = 1.001e-06 +- 6e-10
     R2 = 999.6 +- 0.3
     """
+    circuit, second = _circuit(sys, form, kind), SECONDS[common_unit(sys) or "s"]
+    elements = (
+        replace(element, value=second * element.value, stderr=element.stderr and second * element.stderr)
+        if element.letter in "LC" else element for element in circuit.elements
+    )  # fmt: skip
+    return replace(circuit, elements=tuple(elements))
+
+
+def _circuit(sys: Any, form: CircuitForm | None, kind: Immittance) -> Netlist:
+    """Circuit in the unit of time of the system."""
     kind = _checks.choice("kind", kind, IMMITTANCES)
     form = _DIRECT[kind] if form is None else _checks.choice("form", form, CIRCUIT_FORMS)
     if form == _DIRECT[kind] and is_fitted_one_port(sys):
