@@ -234,6 +234,18 @@ def test_a_netlist_gives_resistance_inductance_and_capacitance_of_a_response():
     assert np.allclose(result.stderr["parameters"], bound, rtol=0.2)
 
 
+def test_a_netlist_is_in_seconds_and_no_model_of_data_in_milliseconds():
+    function = phc.read_netlist(CIRCUIT, parameters=["R1", "L1", "C1"])
+    assert function(function.values).time_unit == phc.read_netlist(CIRCUIT).time_unit == "s"
+    omega = 2e-3 * np.pi * np.geomspace(5e3, 3e5, 40)
+    data = ct.frd(np.squeeze(function(function.values)(1e3j * omega)), omega)
+    data.time_unit = "ms"
+    with pytest.raises(StructureError, match="in ms here and in s there"):
+        phc.pem(data, model=function, quantity="free")
+    with pytest.raises(StructureError, match="in ms here and in s there"):
+        phc.update_model(function, function.values, phc.pem(data, 1, quantity="free", structure="free"))
+
+
 @pytest.mark.parametrize(
     "parameters, message",
     [(["R9"], "no 'R9'"), ([], "one at least"), (["R1", "r1"], "different"), ("R1", "names of elements")],

@@ -22,6 +22,7 @@ from scipy.sparse.csgraph import connected_components
 from .. import _checks
 from .._frozen import Frozen
 from .._types import Array, ArrayLike
+from .._units import with_unit
 from ..exceptions import FileFormatError, StructureError
 from ..systems.dissipative import DissipativePortHamiltonian
 from .elements import Element
@@ -66,7 +67,7 @@ def read_netlist(
         the current is the input and the voltage at which it delivers it the output.  States: the charges of capacitors
         (C) and the flux linkages of inductors (Wb); of a loop of capacitors those of all but one, of a cut set of
         inductors likewise, of coils without leakage (`K = 1`) that of the first.  Of coils with hardly any, the flux
-        linkage beyond that which those before it induce.
+        linkage beyond that which those before it induce.  Its `time_unit` is 's'.
 
     NetlistFunction
         With `parameters`: called with their values it returns that system; `names` and `values` are those of the text.
@@ -214,10 +215,11 @@ def _system(elements: Sequence[Element], names: dict[str, Any]) -> DissipativePo
     K = turn @ K[np.ix_(pick, pick)] @ turn.T
     skew, symmetric = 0.5 * (K - K.T), 0.5 * (K + K.T)
     given = {key if key.endswith("s") or key == "name" else f"{key}s": value for key, value in names.items()}
-    return DissipativePortHamiltonian(
+    system = DissipativePortHamiltonian(
         Q, -skew[:n, n:], R=symmetric[:n, :n], P=symmetric[:n, n:], S=symmetric[n:, n:], N=skew[n:, n:],
         J=-skew[:n, :n], **(_signals(branches, ports) | given),
     )  # fmt: skip
+    return with_unit(system, "s")
 
 
 @dataclass(frozen=True)

@@ -171,7 +171,8 @@ def pem(
         Function from physical parameters, an array (P,), to a system with the inputs and outputs of the data, as a
         `StateSpace`, a `TransferFunction` or any system of this package: springs and masses, `from_second_order` of
         dense or sparse matrices, `read_netlist(path, parameters=[..])`.  Its parameters are fitted, next to the modes
-        of a free fit, and it is tested within the free model.
+        of a free fit, and it is tested within the free model.  A unit of time that it states, as a netlist does, must
+        be that of the data.
     parameters : array_like, shape (P,), or mapping from name to value, optional
         Where parameters of the `model` start, to a factor of two or so; zero ones have the size 1.  Default: the
         `values` of the function, as those of a netlist.

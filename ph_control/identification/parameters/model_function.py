@@ -10,6 +10,7 @@ import numpy as np
 
 from ... import _checks
 from ..._types import Array, Mask
+from ..._units import common_unit
 from ...exceptions import StructureError
 from .physical_modes import PhysicalModes, modes_of_system
 
@@ -36,6 +37,8 @@ class ModelFunction:
         Channels that the system must have.
     slowest : float
         Rate below which data show none.
+    time_unit : str or None
+        Unit of time of the data: a system of another one is refused.
     """
 
     function: Callable[[Array], Any]
@@ -46,6 +49,7 @@ class ModelFunction:
     outputs: int = 0
     inputs: int = 0
     slowest: float = 1.0
+    time_unit: str | None = None
     calls: int = 0
     best: Array | None = None
     _known: dict[bytes, PhysicalModes] = field(default_factory=dict)
@@ -168,6 +172,7 @@ class ModelFunction:
     def _called(self, theta: Array) -> PhysicalModes:
         self.calls += 1
         sys = self.function(theta.copy())
+        common_unit(self, sys)
         modes = modes_of_system(sys, self.slowest)
         shape = modes.feedthrough.shape
         if self.outputs and (shape[0] != self.outputs or (self.inputs and shape[1] != self.inputs)):

@@ -256,7 +256,7 @@ class _FittedTarget:
             raise StructureError("this fit has no modes to update a model by")
         N, n, (p, m) = len(result.poles), result.order, result.residues.shape[1:]
         some = np.arange(n) if modes is None else _places("modes", modes, n)
-        function.slowest = 1e-3 * float(np.abs(result.poles[:n]).min())
+        function.slowest, function.time_unit = 1e-3 * float(np.abs(result.poles[:n]).min()), result.time_unit
         plant = function.function(function.start.copy())
         function.calls += 1
         measured = _measured_outputs(plant, result, outputs)

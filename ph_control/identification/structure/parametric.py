@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..._types import Array, ComplexArray, Indices, Mask
+from ..._units import common_unit
 from ...exceptions import StructureError
 from ..data.channels import Recording
 from ..data.windowed import crossed_scores, share_errors
@@ -52,8 +53,9 @@ def for_channels(function: ModelFunction, channels: Sequence[Any]) -> ModelFunct
     first = channels[0]
     longest = [data.dt * data.samples if isinstance(data, Recording) else 1 / _lowest(data.omega) for data in channels]
     made = replace(
-        function, outputs=len(first.output_labels), inputs=len(first.input_labels), slowest=1.0 / max(longest)
-    )
+        function, outputs=len(first.output_labels), inputs=len(first.input_labels), slowest=1.0 / max(longest),
+        time_unit=common_unit(list(channels)),
+    )  # fmt: skip
     made.modes(made.start)
     return made
 
