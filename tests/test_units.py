@@ -235,6 +235,33 @@ def test_an_envelope_and_a_tuned_damper_are_told_in_the_unit_of_the_system():
     assert "rad/s and" in str(phc.optimal_damping(plant, mass=0.1))
 
 
+def test_a_system_of_a_known_unit_has_hertz_and_gives_the_unit_to_what_is_made_of_it():
+    plant = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], R=np.diag([0.0, 0.4]))
+    assert plant.hertz == pytest.approx(2 / (2 * np.pi)) and phc.ph(plant).time_unit is None  # cycles per unit of time
+    plant.time_unit = "milliseconds"
+    assert plant.hertz == pytest.approx(2e3 / (2 * np.pi))
+    again = pickle.loads(pickle.dumps(plant))
+    for made in (plant, plant.lossless_part(), phc.sample(plant, 0.1), phc.ph(plant), again):
+        assert made.time_unit == "ms"
+
+
+def test_pictures_of_passivity_and_energy_have_the_unit_of_the_system():
+    plant = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], R=np.diag([0.0, 0.4]))
+    plant.time_unit = "ms"
+    axes = phc.passivity(plant).plot().axes
+    assert axes[0, 0].get_xlabel() == "Frequency [rad/ms]"
+    balance = phc.energy_balance(phc.step_response(plant, np.linspace(0.0, 5.0, 50)), plant)
+    assert balance.plot().axes[1, 0].get_xlabel() == "Time [ms]"
+    plt.close("all")
+
+
+def test_a_system_takes_known_units_of_time_only():
+    plant = phc.ph(phc.modes(D, R))
+    with pytest.raises(StructureError, match=r"'fortnight'; known are 'ns', 'us', 'ms', 's', 'min', 'h', or None"):
+        plant.time_unit = "fortnight"
+    assert plant.time_unit is None
+
+
 @pytest.mark.parametrize(("label", "unit"), [("acc [g]", "g"), ("acc (g)", "g"), ("acc (left)", ""), ("acc", "")])
 def test_brackets_tell_the_unit_of_pictures(label, unit):
     model = ct.ss(phc.ph(phc.modes(D, R)))

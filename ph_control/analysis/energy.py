@@ -39,7 +39,7 @@ class EnergyBalance(Report):
     dissipated : ndarray, shape (T,)
         Energy lost since the first instant; 0 of a lossless system.
     time_unit : str or None
-        Unit of time of the response; None where it is not known.
+        Unit of time of the response or the system; None where it is not known.
 
     Examples
     --------
@@ -162,7 +162,7 @@ def energy_balance(
         extent = np.abs(z).max(axis=1)
         size = 0.5 * float(extent @ np.abs(sys.Q) @ extent) + sum(float(np.abs(step).sum()) for step in steps)
         _refuse_imbalance(defect, size, _ROUNDING * _checks.EPS * (len(z) + len(t)), f"{method!r} and {intersample!r}")
-    return EnergyBalance(t.copy(), stored, supplied, defect, dissipated, common_unit(response))
+    return EnergyBalance(t.copy(), stored, supplied, defect, dissipated, common_unit(response, sys))
 
 
 def _refuse_imbalance(defect: Array, size: float, share: float, rule: str) -> None:

@@ -13,6 +13,7 @@ from .. import _checks
 from .._display import Report
 from .._frozen import Frozen
 from .._options import PORT_KINDS, PortKind
+from .._units import common_unit, rate
 from ..exceptions import StructureError
 from ..modal.positive_real import Matrices, Passivity, split_axis, violations, well_conditioned
 from ..numerics.rational import split_infinity, state_space
@@ -46,6 +47,8 @@ class PassivityReport(Frozen, Report):
         unstable systems and for poles on the axis that are not passive.
     unstable : ndarray of complex, shape (k,)
         Poles in the right half plane that ports reach and see.
+    time_unit : str or None
+        Unit of time of the system; None where it is not known.
 
     Examples
     --------
@@ -62,6 +65,7 @@ class PassivityReport(Frozen, Report):
     margin: float
     unstable: ComplexArray
     _tested: Passivity | None = None
+    time_unit: str | None = None
 
     def curve(self, reach: float = 30.0) -> tuple[Array, Array]:
         """Smallest eigenvalue of `(G + G^H) / 2`, or largest singular value of `S`, over frequency.
@@ -136,9 +140,9 @@ class PassivityReport(Frozen, Report):
         text = f"not passive ({self.kind})"
         if len(self.unstable):
             text += f": {len(self.unstable)} poles in the right half plane, the first at {self.unstable[0]:.4g}"
-        rows = zip(self.bands, self.frequencies, self.sizes, strict=True)
+        rows, unit = zip(self.bands, self.frequencies, self.sizes, strict=True), rate(self.time_unit)
         return "\n".join(
-            [text] + [f"  {low:.6g} to {high:.6g} rad/time: {size:.4g} at {w:.6g}" for (low, high), w, size in rows]
+            [text] + [f"  {low:.6g} to {high:.6g} {unit}: {size:.4g} at {w:.6g}" for (low, high), w, size in rows]
         )
 
 
@@ -181,6 +185,11 @@ def passivity(sys: Any, kind: PortKind = "immittance") -> PassivityReport:
     (True, 0.0)
     """
     _checks.choice("kind", kind, PORT_KINDS)
+    return replace(_report(sys, kind), time_unit=common_unit(sys))
+
+
+def _report(sys: Any, kind: PortKind) -> PassivityReport:
+    """Report without a unit of time."""
     if in_normal_form(sys) and not sys._integrated and kind == "immittance":
         # all its poles are on the axis, and beside them it neither takes nor gives energy
         m, none = sys.ninputs, np.zeros

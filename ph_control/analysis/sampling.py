@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .._options import INTERPOLATIONS, Discretisation, Interpolation
+from .._units import common_unit, with_unit
 from ..exceptions import ResolutionWarning
 from ..modal.discretization import Hold, check_method
 from ..systems.base import LosslessSystem, inherited_names
@@ -45,8 +46,8 @@ def sample(
     Returns
     -------
     control.StateSpace
-        `s_{k+1} = F s_k + G u_k`, `y_k = C s_k + D u_k` with `dt = h`, in the coordinates of the system.  With 'foh'
-        the state is `z_k - G_1 u_k`, where `G_1` is what a step makes of the input at its end.
+        `s_{k+1} = F s_k + G u_k`, `y_k = C s_k + D u_k` with `dt = h`, in the coordinates of the system, and with its
+        `time_unit`.  With 'foh' the state is `z_k - G_1 u_k`, where `G_1` is what a step makes of the input at its end.
 
     Raises
     ------
@@ -80,14 +81,14 @@ def sample(
     array([[ 0.,  1.],
            [-1.,  0.]])
     """
-    sys = as_system(sys)
+    unit, sys = common_unit(sys), as_system(sys)
     rule = Hold(
         _checks.sampling_step(h, name="h"),
         check_method(method),
         _checks.choice("intersample", intersample, INTERPOLATIONS),
     )
     if not isinstance(sys, LosslessSystem):
-        return sampled(sys, rule.h, method, intersample, names)
+        return with_unit(sampled(sys, rule.h, method, intersample, names), unit)
     if rule.method == "exact":
         _warn_of_aliases(np.sort(swing(sys.modes.mode_poles)), rule.h)
     _checks.signal_names(names, inputs=sys.ninputs, outputs=sys.noutputs, states=sys.nstates)
@@ -95,7 +96,8 @@ def sample(
     with np.errstate(over="ignore", invalid="ignore"):
         F, G, D = matrices(sys, rule)
     check_finite(F, G, 1.0, rule)
-    return ct.ss(F, G, sys.C, D, rule.h, **inherited_names(sys, names, "inputs", "outputs", "states"))
+    made = ct.ss(F, G, sys.C, D, rule.h, **inherited_names(sys, names, "inputs", "outputs", "states"))
+    return with_unit(made, unit)
 
 
 def _companion(sys: Any, rule: Hold) -> tuple[Array, Array, Array]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import control as ct
 
 from .. import _checks
-from .._units import unit_for
+from .._units import rate, unit_for
 from ..analysis.energy import EnergyBalance
 from ..analysis.passivity import PassivityReport
 from ..exceptions import StructureError
@@ -160,7 +160,7 @@ def passivity_plot(report: PassivityReport, *, ax: AxesGiven = None, **style: Un
         for low, high in report.bands:
             axis.axvspan(max(low, omega[0]), min(high, omega[-1]), color="C3", alpha=0.15, linewidth=0)
         axis.set_xlim(omega[0], omega[-1])
-        axis.set_xlabel(labelled("Frequency", "rad/time"))
+        axis.set_xlabel(labelled("Frequency", rate(report.time_unit)))
         axis.set_ylabel(name)
         look.lattice(axis)
         return drawn.finished(str(report).splitlines()[0].capitalize())

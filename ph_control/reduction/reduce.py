@@ -142,7 +142,7 @@ def _is_plain(system: PortHamiltonian) -> bool:
 
 
 def _copy(system: PortHamiltonian) -> PortHamiltonian:
-    again = system._converted()
+    again = ph(system)
     again.error_bound = 0.0
     return again
 

@@ -12,6 +12,7 @@ from control.iosys import InputOutputSystem
 from .. import _checks
 from .._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal, modes_table
 from .._types import Array, ArrayLike, ComplexArray, NDArray
+from .._units import checked_unit, hertz_size
 from ..exceptions import NotLosslessError, StructureError, printable
 from ..modal.modal_form import ModalForm, imaginary
 from ..numerics.rational import LinearSystem
@@ -68,6 +69,7 @@ class LosslessSystem(ct.StateSpace):
     _factory: str
     _in_normal_form = True  # whether it has frequencies d and weights r
     _integrated = False  # whether the transfer function is that of the modes, or that divided by s
+    _time_unit: str | None = None
     _views: dict[str, Any]
     params: dict[str, Any]
     _current_params: dict[str, Any]
@@ -141,9 +143,18 @@ class LosslessSystem(ct.StateSpace):
         return self.modes.damping_ratios
 
     @property
+    def time_unit(self) -> str | None:
+        """Unit of time, one of 'ns', 'us', 'ms', 's', 'min', 'h', or None where it is not known."""
+        return self._time_unit
+
+    @time_unit.setter
+    def time_unit(self, unit: str | None) -> None:
+        self._time_unit = checked_unit(unit)
+
+    @property
     def hertz(self) -> Array:
-        """Natural frequencies in cycles per unit time."""
-        return self.natural_frequencies / (2 * np.pi)
+        """Natural frequencies in Hz; where `time_unit` is not known, in cycles per unit time."""
+        return self.natural_frequencies / hertz_size(self.time_unit)
 
     @property
     def n(self) -> int:

@@ -14,6 +14,7 @@ from .. import _checks
 from .._checks import EPS
 from .._display import latex_matrix, literal
 from .._types import Array, ArrayLike, ComplexArray
+from .._units import with_unit
 from ..exceptions import NotLosslessError, NotPassiveError, StructureError
 from ..modal.general_form import GeneralModalForm, from_state_space, refined
 from ..modal.modal_form import Cluster, ModalForm
@@ -206,7 +207,8 @@ class DissipativePortHamiltonian(PortHamiltonian):
         """
         from .port_hamiltonian import ph
 
-        return ph(self.Q, self.G) if is_canonical(self.J) else ph(self.Q, self.G, J=self.J)
+        part = ph(self.Q, self.G) if is_canonical(self.J) else ph(self.Q, self.G, J=self.J)
+        return with_unit(part, self.time_unit)
 
     def _beyond_lossless(self) -> list[str]:
         matrices = {"R": "losses R", "P": "losses P", "S": "feedthrough S", "N": "feedthrough N"}

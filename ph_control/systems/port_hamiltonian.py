@@ -14,6 +14,7 @@ from .. import _checks
 from .._display import latex_matrix
 from .._options import STORAGES, Discretisation, Interpolation, Storage
 from .._types import Array, ArrayLike, ComplexArray
+from .._units import common_unit, with_unit
 from ..exceptions import ConditioningWarning, NotLosslessError, StructureError
 from ..modal import foster_test
 from ..modal import minimal as reachability
@@ -97,7 +98,6 @@ class PortHamiltonian(LosslessSystem):
     """
 
     _factory = "ph(Q, B)"
-    time_unit: str | None = None  # that of the data it was fitted to
     structural_modes: Any = None  # `StructuralModes`, where `from_second_order` has kept some modes of a structure
     base_motion: Any = None  # `BaseMotion`, of a structure on a base that moves
     error_bound: float | None = None  # of `reduce`: the largest difference from the system that was reduced
@@ -488,9 +488,7 @@ class PortHamiltonian(LosslessSystem):
 
     def _converted(self, **names: Any) -> PortHamiltonian:
         names = inherited_names(self, names, *_SIGNALS)
-        twin = restored(PortHamiltonian, self._given, self._modes, names, self._kept(_OF_Q_AND_B))
-        twin.time_unit = self.time_unit
-        return twin
+        return restored(PortHamiltonian, self._given, self._modes, names, self._kept(_OF_Q_AND_B))
 
     def _scaled(self, factor: float) -> PortHamiltonian:
         root = np.sqrt(factor)
@@ -512,7 +510,7 @@ class PortHamiltonian(LosslessSystem):
 
     def _attached(self) -> dict[str, Any]:
         """Attributes that are set after a system was made, for pickles."""
-        names = "time_unit", "structural_modes", "base_motion", "error_bound", "cost"
+        names = "_time_unit", "structural_modes", "base_motion", "error_bound", "cost"
         return {name: getattr(self, name) for name in names}
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -692,7 +690,8 @@ def ph(
             raise StructureError("J is given without B; it belongs to the matrices Q and B of z' = J Q z + B u")
         if sensors is not None or any(value is not None for value in losses.values()):
             raise StructureError("R, P, S, N and sensors belong to the matrices Q and B, and B is not given")
-        return _of_system(Q, storage, lossless, ports, method, intersample, names)
+        system = _of_system(Q, storage, lossless, ports, method, intersample, names)
+        return with_unit(system, common_unit(Q))
     _refuse_sampling(method, intersample)
     if storage != "auto" or ports is not None:
         raise StructureError("storage and ports say how to convert a system; Q and B are given, which say it already")
