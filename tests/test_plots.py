@@ -947,6 +947,18 @@ def test_the_phase_of_dots_is_not_unwrapped():
     np.testing.assert_allclose(curve.phase(0, 0), [170, 190, 170])
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_the_phase_of_a_table_is_beside_that_of_the_model_in_the_same_list(first):
+    chain = phc.spring_chain([3.0, 2.0, 1.0], 40.0, ground=[60.0, 0, 0], c=0.1, port=[0, 2])
+    both = [chain, ct.frd(chain, np.geomspace(0.1, 30, 50))]
+    plot = bode_plot(both if first else both[::-1])
+    for row, column in ((1, 0), (1, 1), (3, 0), (3, 1)):
+        model, table = plot.lines[row, column][:2] if first else plot.lines[row, column][1::-1]
+        beside = np.interp(table.get_xdata(), model.get_xdata(), model.get_ydata())
+        assert np.nanmax(np.abs(table.get_ydata() - beside)) < 2.0  # NaN where it steps in all directions
+    plt.close(plot.figure)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

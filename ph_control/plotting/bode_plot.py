@@ -221,13 +221,15 @@ def _draw_margins(
     """Distances from -180 degrees where the gain is 1, and from a gain of 1 where the phase is -180 degrees."""
     size, unit, unit_name = scale.angle, numbers.axis.unit, numbers.axis.unit_name
     texts = []
-    for system, curve, line in zip(systems, numbers.curves, lines[: len(numbers.curves)], strict=True):
+    count = len(numbers.curves)
+    phases = numbers.phases(0, 0)[:count]
+    for system, curve, phase_drawn, line in zip(systems, numbers.curves, phases, lines[:count], strict=True):
         gm, pm, wcg, wcp = margin(system)
         style = {"label": "_", "color": line.get_color(), **_MARGIN}
         decibels = 20.0 * np.log10(gm) if gm else -np.inf
         if "phase" in panels and np.isfinite(pm):
             # the phase of the curve may be whole turns away
-            phase_there = np.interp(wcp, curve.omega, curve.phase(0, 0))
+            phase_there = np.interp(wcp, curve.omega, phase_drawn)
             critical = -180.0 + 360.0 * np.round((phase_there - (pm - 180.0)) / 360.0)
             low, high = panels["phase"].get_ylim()
             panels["phase"].set_ylim(min(low, size * (critical - 20.0)), max(high, size * (critical + 20.0)))
@@ -239,7 +241,7 @@ def _draw_margins(
                 panels["magnitude"].plot([wcg / unit] * 2, [-decibels, 0.0] if scale.dB else [1.0 / gm, 1.0], **style)
         gain = f"{decibels:.4g} dB at {wcg / unit:.4g} {unit_name}" if np.isfinite(decibels) else f"{decibels:g}"
         phase = f"{pm:.4g}° at {wcp / unit:.4g} {unit_name}" if np.isfinite(pm) else f"{pm:g}"
-        name = f"{curve.label}: " if len(numbers.curves) > 1 else ""
+        name = f"{curve.label}: " if count > 1 else ""
         texts.append(plain(f"{name}gain margin {gain}, phase margin {phase}"))
     axis = next(iter(panels.values()))
     box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5}

@@ -373,18 +373,24 @@ class DrawnResponses:
         name = sensor if len(self.input_labels) == 1 and len(name) > _LETTERS else name
         return name if len(name) <= _LETTERS else name[: _LETTERS - 1] + "…"
 
+    def phases(self, i: int, j: int, *, wrap: bool = False) -> list[Array]:
+        """Degrees of all curves, and of what was measured: that, and tables, within half a turn of the first model."""
+        if wrap:
+            return [curve.phase(i, j, unwrap=False) for curve in [*self.curves, *self.measured]]
+        models = [curve for curve in self.curves if not curve.tabulated]
+        first = (models or self.curves)[0]
+        return [
+            curve.phase_beside(i, j, first) if models and curve.tabulated else curve.phase(i, j)
+            for curve in self.curves
+        ] + [dots.phase_beside(i, j, first) for dots in self.measured]
+
     def values(self, part: str, i: int, j: int, scale: Scale) -> tuple[list[Array], list[Array]]:
         """Numbers to draw of all curves, and of what was measured."""
         every = [*self.curves, *self.measured]
         if part == "magnitude":
             drawn = [scale.gain(curve.magnitude(i, j)) for curve in every]
         elif part == "phase":
-            drawn = [scale.angle * curve.phase(i, j, unwrap=not scale.wrap) for curve in self.curves]
-            drawn += [
-                scale.angle
-                * (dots.phase(i, j, unwrap=False) if scale.wrap else dots.phase_beside(i, j, self.curves[0]))
-                for dots in self.measured
-            ]
+            drawn = [scale.angle * phase for phase in self.phases(i, j, wrap=scale.wrap)]
         elif part == "real":
             drawn = [curve.response[i, j].real for curve in every]
         else:
