@@ -205,6 +205,21 @@ def test_the_midpoint_rule_keeps_the_balance_of_power_in_every_step(seed):
     assert np.abs(gained - supplied + lost).max() <= 1e-12 * np.max(np.abs(supplied) + lost + balance.stored[1:])
 
 
+@pytest.mark.parametrize("ports", [0, [0, 2]])
+def test_values_at_real_points_are_real(ports):
+    sys = phc.spring_chain([3.0, 2.0, 1.0], 40.0, ground=[60.0, 0, 0], c=0.1, port=ports)
+    gain, plain = sys.dcgain(), ct.ss(sys).dcgain()
+    assert np.isrealobj(gain)
+    assert np.shape(gain) == np.shape(plain)
+    np.testing.assert_allclose(gain, plain, atol=1e-15)
+    assert not sys(np.array([0.0, 0.5, 2.0, -7.0])).imag.any()
+    lags = phc.ph(ct.tf([1, 3, 2.5], [1, 3, 3, 1]))  # its poles stay together in a cluster
+    assert np.isrealobj(lags.dcgain())
+    assert round(lags.dcgain(), 12) == 2.5
+    integrator = phc.ph([[1.0]], [1.0], J=[[0.0]], S=[[1.0]])
+    assert integrator.dcgain() == np.inf
+
+
 def test_poles_on_the_axis_give_infinity_and_never_nan():
     system = phc.ph(np.diag([1.0, 4.0, 1.0, 1.0]), [0.0, 0.0, 1.0, 1.0], R=np.diag([0.0, 0.0, 0.0, 0.1]))
     assert np.isinf(system(1j)) and np.isfinite(system(2j)) and not np.isnan(system(1j))

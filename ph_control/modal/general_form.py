@@ -202,7 +202,10 @@ class GeneralModalForm(ModalForm):
         return np.sort_complex(np.concatenate([upper.conj(), real, upper]))
 
     def evaluate(self, s: ArrayLike) -> ComplexArray:
-        """Transfer function at complex points, shape (p, m, N); `inf` at a pole, `D` at infinity, never NaN."""
+        """Transfer function at complex points, shape (p, m, N); `inf` at a pole, `D` at infinity, never NaN.
+
+        Real at real points.
+        """
         points = _checks.complex_points("the points", s)
         poles, residues = self._fractions
         out = np.empty((points.size, residues.shape[1]), complex)
@@ -224,6 +227,7 @@ class GeneralModalForm(ModalForm):
                 out += np.where(
                     np.isfinite(points), np.tensordot(block.triangular[2], block.states(points), axes=1), 0.0
                 )
+        out.imag[:, :, points.imag == 0] = 0.0  # terms of conjugate poles are rounded apart
         return np.where(np.isfinite(out), out, complex(np.inf, 0.0))
 
     def magnitude(self, s: ComplexArray) -> Array:
