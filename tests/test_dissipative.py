@@ -487,6 +487,22 @@ def test_a_sampled_system_with_losses_comes_back(method, intersample):
         assert np.linalg.eigvalsh(back.R)[0] >= -1e-12 * np.linalg.norm(back.R)
 
 
+@pytest.mark.parametrize("ground_c, n, method", [(0.0, 2, "midpoint"), (0.1, 3, "exact"), (0.1, 5, "midpoint")])
+def test_rounding_of_sampled_matrices_makes_no_system_active(ground_c, n, method):
+    chain = phc.spring_chain(np.ones(n), 4.0, ground=1.0, c=0.1, ground_c=ground_c, port=0)
+    h = 0.005 if n < 5 else 0.01
+    sampled = phc.sample(chain, h, method)
+    back = phc.ph(sampled, method=method)
+    w = np.geomspace(0.1, 8.0, 50)
+    np.testing.assert_allclose(back(1j * w), chain(1j * w), rtol=1e-9, atol=1e-11)
+    A, B, C, D = sampled.A, sampled.B, sampled.C, sampled.D
+    with pytest.raises(phc.NotPassiveError, match="it gives energy"):
+        phc.ph(ct.ss(A, B, C, D - 1e-12, h), method=method)
+    if ground_c == 0:  # with a mode that has no losses
+        with pytest.raises(phc.NotPassiveError, match="right half plane"):
+            phc.ph(ct.ss(A * (1 + 1e-9 * h), B, C, D, h), method=method)
+
+
 def test_a_sampled_system_with_repeated_poles_and_losses_is_refused_by_name():
     system = phc.ph(phc.modes(1.0, 1.0, damping=1.0))
     with pytest.raises(phc.StructureError, match="repeated poles"):

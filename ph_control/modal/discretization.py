@@ -377,7 +377,9 @@ def continuous(form: PoleResidueForm, hold: Hold) -> PoleResidueForm:
         feedthrough = np.zeros_like(feedthrough)
     growth, growth_error = (part[keep] * rate * size for part in (form.growth, form.growth_error))
     gain = form.gain / h
-    return PoleResidueForm(s, residues, pole_error, residue_error, growth, growth_error, gain, feedthrough)
+    return PoleResidueForm(
+        s, residues, pole_error, residue_error, growth, growth_error, gain, feedthrough, feedthrough_error=rounding
+    )
 
 
 def _inside(form: PoleResidueForm, method: str) -> Mask:

@@ -397,7 +397,10 @@ def _of_single(modes: Sequence[Mode], D: Array, clusters: Sequence[Cluster]) -> 
 
 
 def from_pole_residues(form: PoleResidueForm) -> GeneralModalForm:
-    """Modes of poles with residues that stand out of their errors, each with the singular vectors of its residue."""
+    """Modes of poles with residues that stand out of their errors, each with the singular vectors of its residue.
+
+    Poles that their errors do not tell from an axis lie on it.
+    """
     if np.any(form.growth > SAFETY * form.growth_error):
         raise StructureError(
             "the system has repeated poles, which rounding of a sampled system scatters; give it in continuous time"
@@ -410,7 +413,8 @@ def from_pole_residues(form: PoleResidueForm) -> GeneralModalForm:
             continue
         real = abs(pole.imag) <= reach
         U, s, Vh = np.linalg.svd(residue.real if real else residue)
-        modes += [(pole.real if real else pole, U[:, k] * s[k], Vh[k]) for k in np.flatnonzero(s > error)]
+        place = complex(0.0 if abs(pole.real) <= reach else pole.real, 0.0 if real else pole.imag)
+        modes += [(place, U[:, k] * s[k], Vh[k]) for k in np.flatnonzero(s > error)]
     return _of_single(modes, form.feedthrough, [])
 
 

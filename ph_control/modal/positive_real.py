@@ -32,6 +32,7 @@ from ..numerics.invariant_subspaces import (
 from .general_form import from_matrices
 
 Matrices = tuple[Array, Array, Array, Array]
+ResponseError = Callable[[ComplexArray], Array]
 
 _SLACK = 64 * EPS  # of the sum of magnitudes of all terms: what rounding leaves of a value 0
 _GIVEN = 64  # roundings of each matrix that is given
@@ -89,11 +90,13 @@ class Passivity:
     """The smallest eigenvalue of `Phi` of a stable system, and the bands in which it is negative."""
 
     def __init__(
-        self, A: Array, B: Array, C: Array, D: Array, *, scattering: bool, given: Matrices | None = None
-    ) -> None:
+        self, A: Array, B: Array, C: Array, D: Array, *, scattering: bool, given: Matrices | None = None,
+        error: ResponseError | None = None,
+    ) -> None:  # fmt: skip
         self.matrices, self.scattering = (A, B, C, D), scattering
         # those that were given, with what was split off: their rounding decides
         self.given = self.matrices if given is None else given
+        self.error = error  # of the response they were computed with, beyond that
         self.modes = from_matrices(A, B, C, D.copy())
 
     def smallest(self, omega: ArrayLike) -> tuple[Array, Array]:
@@ -279,7 +282,7 @@ class Passivity:
         return SchurResolvent(self.given[0])
 
     def _perturbed(self, omega: float, resolvent: SchurResolvent | EliminationResolvent) -> tuple[float, float, float]:
-        """Smallest eigenvalue of `Phi`, what it changes by with roundings of each entry, and with those of the solver.
+        """Smallest eigenvalue of `Phi`, what it changes by with errors of what is given, and with those of the solver.
 
         To first order the quadratic form of its eigenvector `u` changes by `2 Re y^H (dA x + dB u) + ..`, with
         `x = (jw - A)^-1 B u` and `y` that of the adjoint.
@@ -295,10 +298,11 @@ class Passivity:
         u = U[:, 0]
         h = G @ u if self.scattering else u
         x, y = np.abs(X @ u), np.abs(resolvent.rows(s, (h.conj() @ C)[None]))[0, 0]
+        beyond = 0.0 if self.error is None else 2 * float(self.error(s)[0] * np.linalg.norm(h))
         u, h = np.abs(u), np.abs(h)
         entries = float(y @ (np.abs(A) @ x + np.abs(B) @ u) + h @ (np.abs(C) @ x + np.abs(D) @ u))
         whole = 2 * _SOLVER * resolvent.rounding * float(np.linalg.norm(x) * np.linalg.norm(y))
-        return float(k[0]), 2 * _GIVEN * EPS * entries, whole
+        return float(k[0]), 2 * _GIVEN * EPS * entries + beyond, whole
 
     def margin(self) -> float:
         """Infimum over all frequencies of a system without bands, in units of `excess`; 0 where rounding hides it."""

@@ -14,7 +14,7 @@ from scipy.linalg import schur
 from scipy.linalg.lapack import ztrtrs
 
 from .. import _checks
-from .._types import Array, ComplexArray, Indices, Mask, NDArray
+from .._types import Array, ComplexArray, Indices, Mask
 from ..exceptions import NotLosslessError, StructureError
 from .graphs import components
 from .invariant_subspaces import SAFETY, balanced, clusters, eigenvalues_of, invariant_block, reordered, schur_form
@@ -41,6 +41,7 @@ class PoleResidueForm:
     gain: float
     feedthrough: Array
     resolvents: tuple[Resolvent, ...] = ()
+    feedthrough_error: float = 0.0
 
     @classmethod
     def simple(
@@ -49,6 +50,12 @@ class PoleResidueForm:
         """Form of poles that are known to be simple."""
         none, gain = np.zeros(len(poles)), float(np.abs(residues).max(initial=0.0))
         return cls(poles, residues, pole_error, residue_error, none, none, gain, feedthrough)
+
+    def error(self, points: ComplexArray) -> Array:
+        """Bound of the errors of values at points, (N,)."""
+        away = np.abs(points[:, None] - self.poles)
+        moved = self.residue_error + np.linalg.norm(self.residues, axis=(1, 2)) * self.pole_error / away
+        return np.asarray(SAFETY * np.sum(moved / away, axis=1) + self.feedthrough_error, float)
 
     def check_range(self) -> None:
         """Refuse numbers that left the range of doubles."""
@@ -106,8 +113,7 @@ def from_state_space(A: Array, B: Array, C: Array, D: Array, rest: float = 0.0) 
 def _joined(forms: list[PoleResidueForm], residues: list[ComplexArray], feedthrough: Array) -> PoleResidueForm:
     """One form with the poles of all, which have these residues in it."""
     names = "poles", "pole_error", "residue_error", "growth", "growth_error"
-    together: dict[str, NDArray[Any]]
-    together = {name: np.concatenate([getattr(form, name) for form in forms]) for name in names}
+    together: dict[str, Any] = {name: np.concatenate([getattr(form, name) for form in forms]) for name in names}
     resolvents = tuple(part for form in forms for part in form.resolvents)
     gain = max(form.gain for form in forms)
     return PoleResidueForm(

@@ -18,7 +18,7 @@ from .._units import with_unit
 from ..exceptions import NotLosslessError, NotPassiveError, StructureError
 from ..modal.general_form import GeneralModalForm, from_state_space, refined
 from ..modal.modal_form import Cluster, ModalForm
-from ..modal.positive_real import staircase
+from ..modal.positive_real import ResponseError, staircase
 from ..numerics.definiteness import AT_ONCE, definite_factor, inverse_bound, uncoupled_halves, unit_diagonal
 from ..numerics.double_double import exactly, product, two_sum
 from ..symplectic.forms_and_williamson import energy_coordinates, symplectic_form
@@ -324,10 +324,15 @@ def restored(
 
 
 def of_passive(
-    sys: ct.StateSpace, storage: str, refusal: NotLosslessError | None, names: dict[str, Any]
-) -> DissipativePortHamiltonian:
-    """Port-Hamiltonian form of a passive system, whose first outputs are those of its ports."""
-    given = PortRows(*(np.array(getattr(sys, name), float) for name in "ABCD"))
+    sys: ct.StateSpace, storage: str, refusal: NotLosslessError | None, names: dict[str, Any],
+    error: ResponseError | None = None,
+) -> DissipativePortHamiltonian:  # fmt: skip
+    """Port-Hamiltonian form of a passive system, whose first outputs are those of its ports.
+
+    `error` bounds those of its response beyond roundings of its matrices.
+    """
+    A, B, C, D = (np.array(getattr(sys, name), float) for name in "ABCD")
+    given = PortRows(A, B, C, D, error)
     for name in "ABCD":
         _checks.finite(name, getattr(given, name))
     parts, conversion = passive_parts(given, storage, refusal)

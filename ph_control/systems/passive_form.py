@@ -29,7 +29,16 @@ from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import ConditioningWarning, NotLosslessError, NotPassiveError, StructureError
 from ..modal.general_form import GeneralModalForm
 from ..modal.modal_form import Cluster
-from ..modal.positive_real import Matrices, Passivity, Split, is_positive, split_axis, violations, well_conditioned
+from ..modal.positive_real import (
+    Matrices,
+    Passivity,
+    ResponseError,
+    Split,
+    is_positive,
+    split_axis,
+    violations,
+    well_conditioned,
+)  # fmt: skip
 from ..modal.storage import KnownDirections, dissipation, semidefinite, storage_coordinates
 from ..numerics.invariant_subspaces import EliminationResolvent, SchurResolvent, equilibrated
 
@@ -73,12 +82,16 @@ class Conversion:
 
 @dataclass(frozen=True)
 class PortRows:
-    """Matrices of a system whose first outputs are those of its ports, in the order of its inputs, before sensors."""
+    """Matrices of a system whose first outputs are those of its ports, in the order of its inputs, before sensors.
+
+    `error` bounds that of the response beyond roundings of the matrices.
+    """
 
     A: Array
     B: Array
     C: Array
     D: Array
+    error: ResponseError | None = None
 
     @property
     def ports(self) -> int:
@@ -216,7 +229,9 @@ def _refuse_active(split: Split, given: PortRows, refusal: NotLosslessError | No
     D = given.D[:m]
     ports = Split([(w, K[:m]) for w, K in split.axis], (A, B, C[:m]), split.unstable)
     matrices = given.A, given.B, given.C[:m], D
-    tested = None if len(split.unstable) else Passivity(*ports.rest, D, scattering=False, given=matrices)
+    tested = None
+    if not len(split.unstable):
+        tested = Passivity(*ports.rest, D, scattering=False, given=matrices, error=given.error)
     bands = violations(ports, tested, scattering=False)
     if not bands and tested is not None:
         return tested.singular

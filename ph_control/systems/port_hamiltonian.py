@@ -769,12 +769,14 @@ def _of_system(
         return PortHamiltonian._from_modes(modes, **kept)
     from .dissipative import of_passive
 
+    error = None
     if sampled:
-        source = from_pole_residues(foster_test.of_sampled(source, method, intersample)).state_space()
+        form = foster_test.of_sampled(source, method, intersample)
+        source, error = from_pole_residues(form).state_space(), form.error
     system = _state_space(source, refusal)
     if not sensors_last:
         _refuse_unpaired(system)
-    return of_passive(system, storage, refusal, kept)
+    return of_passive(system, storage, refusal, kept, error)
 
 
 def _as_it_is(
