@@ -208,6 +208,18 @@ def test_several_dashpots_damp_the_least_damped_mode_best():
         assert phc.damping_injection(CHAIN, gains, ports=["F_1", "F_3"]).damping_ratios.min() <= zeta * (1 + 1e-6)
 
 
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_modes_that_can_be_critically_damped_are_not_damped_by_more(unit):
+    oscillator = phc.optimal_damping(phc.ph(np.diag([4 * unit, 1.0]), [0.0, 1.0]), criterion="damping")
+    np.testing.assert_allclose(oscillator.gains, 4 * np.sqrt(unit), rtol=1e-9)
+    assert oscillator.cost == pytest.approx(1.0)
+    # modes at 1 and 3 with the same dashpot: the gain at which the faster is critical
+    pair = phc.spring_chain(np.full(2, unit), 4 * unit, ground=unit, port=[0, 1])
+    two = phc.optimal_damping(pair, criterion="damping")
+    assert two.cost == pytest.approx(1.0)
+    np.testing.assert_allclose(two.gains, 6 * unit, rtol=1e-6)
+
+
 def test_what_no_damper_reaches_is_refused_by_its_frequency():
     symmetric = phc.spring_chain([1.0, 1.0, 1.0], ground=[1.0, 0.0, 1.0], port=1)
     with pytest.raises(phc.StructureError, match=r"mode at 1\.41421"):

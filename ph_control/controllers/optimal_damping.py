@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, get_args
 
 import control as ct
@@ -13,6 +14,7 @@ from scipy.linalg import eig, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
 from .. import _checks
+from .._checks import EPS
 from .._frozen import Frozen
 from .._types import Array, ArrayLike
 from .._units import rate
@@ -139,8 +141,9 @@ def optimal_damping(
         Masses of tuned mass dampers, each on a spring and a dashpot.  Default: dashpots to the ground.
     criterion : {'h2', 'damping', 'fixed points'}
         'h2' minimises the H2 norm from `inputs` to `outputs`, the root mean square of the response to white noise;
-        'damping' maximises the smallest damping ratio; 'fixed points' gives the closed form of den Hartog for one
-        mode, a first choice where the force is a sine of any frequency (tuned mass dampers only).
+        'damping' maximises the smallest damping ratio, and the slowest decay where all poles are real; 'fixed points'
+        gives the closed form of den Hartog for one mode, a first choice where the force is a sine of any frequency
+        (tuned mass dampers only).
     outputs : {'energy', 'displacement', 'velocity'} or sequence of int or str
         For 'h2': the stored energy of the plant (the H2 norm is then `sqrt(2 E)` of its mean `E`), the outputs of all
         ports or their integrals, or outputs of the plant by number or name.
@@ -233,6 +236,11 @@ class _Loop:
         pad = ((0, 2 * k), (0, 0))
         return cls(whole, b, c, np.pad(noise, pad), np.pad(C.T, pad).T, n)
 
+    @cached_property
+    def _fastest(self) -> float:
+        """Size of the largest pole of the plant."""
+        return float(np.abs(np.linalg.eigvals(self.A[: self.own, : self.own])).max())
+
     def matrix(self, theta: Array) -> Array:
         """Dynamics matrix at these constants."""
         return self.A - (self.b * theta) @ self.c.T
@@ -251,13 +259,19 @@ class _Loop:
         return 0.5 * np.log(square), 0.5 * theta * slope / square
 
     def damping(self, theta: Array) -> tuple[float, Array]:
-        """Minus the smallest damping ratio, and its gradient by the logarithms of the constants."""
+        """Minus the smallest damping ratio, and its gradient by the logarithms of the constants.
+
+        Where all poles are real, which is ratio 1 for any larger gain, that less the slowest decay.
+        """
         p, left_vectors, right_vectors = eig(self.matrix(theta), left=True, right=True)
         size = np.maximum(np.abs(p), np.finfo(float).tiny)
         zeta = np.where(np.abs(p) > _EDGE * np.abs(p).max(), -p.real / size, np.inf)
-        l = int(np.argmin(zeta))
+        saturated = zeta.min() >= 1 - len(p) * EPS
+        l = int(np.argmin(np.where(zeta < np.inf, -p.real, np.inf) if saturated else zeta))
         w, v = left_vectors[:, l].conj(), right_vectors[:, l]
         slope = -((w @ self.b) * (self.c.T @ v)) / (w @ v)
+        if saturated:
+            return -1.0 + float(p[l].real) / self._fastest, theta * slope.real / self._fastest
         change = -slope.real / size[l] + p[l].real * (np.conj(p[l]) * slope).real / size[l] ** 3
         return -float(zeta[l]), -theta * change
 
@@ -447,19 +461,19 @@ def _result(
         stiffnesses, gains = theta[::2], theta[1::2]
         each = [_absorber(*constants) for constants in zip(masses, stiffnesses, gains, strict=True)]
         controller = each[0] if len(each) == 1 else interconnect(each, np.zeros((len(each),) * 2))
-    sign, of = (-1.0, loop.damping) if criterion == "damping" else (1.0, lambda t: (np.exp(loop.h2(t)[0]), None))
+    cost = min(1.0, -loop.damping(theta)[0]) if criterion == "damping" else float(np.exp(loop.h2(theta)[0]))
     before = np.linalg.eigvals(loop.A[: loop.own, : loop.own])
     bare = _Loop(loop.A[: loop.own, : loop.own], loop.b[: loop.own, :0], loop.c[: loop.own, :0], loop.B[: loop.own],
                  loop.C[:, : loop.own], loop.own)  # fmt: skip
     if criterion == "damping":
-        without = bare.damping(np.empty(0))[0]
+        without = min(1.0, -bare.damping(np.empty(0))[0])
     elif before.real.max(initial=-1.0) > -1e-13 * np.abs(before).max(initial=0.0):
         without = np.inf
     else:
         without = float(np.exp(bare.h2(np.empty(0))[0]))
     return OptimalDamping(
         sys, controller, through_ports(sys, controller, ports), tuple(sys.input_labels[k] for k in ports), gains,
-        stiffnesses, masses, criterion, sign * float(of(theta)[0]), sign * float(without),
+        stiffnesses, masses, criterion, cost, without,
     )  # fmt: skip
 
 
