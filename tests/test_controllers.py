@@ -344,6 +344,24 @@ def test_lqg_is_passive_and_minimises_its_cost(seed):
         assert cost(changed) >= best * (1 - 1e-10)
 
 
+@pytest.mark.parametrize("effort", [1e-8, 1e-4, 1.0, 1e8, 1e14])
+def test_lqg_does_not_depend_on_the_unit_of_mass(effort):
+    M, K = np.diag([1.0, 2.0, 1.5]), np.array([[5.0, -4, 0], [-4, 9, -4], [0, -4, 5]])
+    poles = []
+    for unit in (1.0, 1e-9, 1e-5, 1e6):
+        sys = phc.from_second_order(unit * M, unit * K, [1.0, 0, 0], C=0.01 * unit * K)
+        controller = phc.lqg(sys, effort / unit)
+        assert phc.passivity(controller).is_passive
+        poles.append(np.sort_complex(controller.poles()))
+    np.testing.assert_allclose(poles[1:], np.array(poles[:1] * 3), rtol=1e-4)
+
+
+def test_lqg_refuses_an_effort_that_leaves_no_digits():
+    sys = phc.spring_chain(np.full(3, 1e-9), 4e-9, ground=1e-9, c=1e-11, port=0)
+    with pytest.raises(phc.StructureError, match=r"effort 1e-14 .* nearer to 2\.\d*e\+08"):
+        phc.lqg(sys, 1e-14)
+
+
 def test_lqg_is_stable_with_every_passive_plant():
     controller = phc.lqg(CHAIN, 0.05)
     for seed in range(10):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from control import care
-from scipy.linalg import eig
+from scipy.linalg import eig, solve_continuous_are, solve_continuous_lyapunov, svd
 
 from .. import _checks
 from .._types import Array, ArrayLike
@@ -20,6 +20,8 @@ from .optimal_damping import energy_coordinates, optimal_damping, refuse_feedthr
 
 _OSCILLATES = 1e-7  # of the fastest rate: an imaginary part of a pole that is more than rounding of a double one
 _REACHED = 1e-12  # of the size of a port: a mode that moves there
+_SOLVED = 1e-6  # of its terms: what the solution may miss of a Riccati equation
+_STEPS = 4  # of Newton's method, of which the last shows what the ones before have missed
 _ROUNDING = 64  # times `n EPS`: negative eigenvalues that are taken for rounding
 
 
@@ -159,7 +161,8 @@ def lqg(
     Raises
     ------
     StructureError
-        If a port has feedthrough, `effort` is not positive definite, or `weight` not semidefinite.
+        If a port has feedthrough, `effort` is not positive definite, or `weight` not semidefinite; if the effort is so
+        far from the impedances of the plant, by some ten digits, that rounding leaves nothing of the controller.
 
     Notes
     -----
@@ -190,7 +193,14 @@ def lqg(
     root = np.linalg.cholesky(E)
     scaled = np.linalg.solve(root, B.T)
     gained = np.linalg.solve(root.T, scaled)
-    X, _, _ = care(A, B, W + scaled.T @ scaled, E)
+    X = _riccati(A, scaled.T, W)
+    if X is None:
+        natural = np.linalg.norm(B, 2) ** 2 / (np.linalg.norm(A, 2) or 1.0)
+        raise StructureError(
+            f"the effort {_checks.shown(effort)} leaves no digits of the controller: its Riccati equation is not "
+            f"solved to {_SOLVED:.0e} of its terms by a positive definite matrix; take an effort nearer to "
+            f"{natural:.3g}, with which the ports damp as fast as the plant moves, and a weight like the energy"
+        )
     lead = np.linalg.solve(root, B.T @ X + B.T)
     inverse = np.linalg.inv(X)
     loss = inverse @ (W + lead.T @ lead) @ inverse
@@ -203,6 +213,39 @@ def lqg(
     made = ph(0.5 * (X + X.T), gained.T, J=0.5 * (flow - flow.T), R=0.25 * (loss + loss.T), **{**labels, **names})
     made.time_unit = sys.time_unit
     return made
+
+
+def _riccati(A: Array, S: Array, W: Array) -> Array | None:
+    """Solution of `X A + A^T X - X S S^T X + W + S S^T = 0`, or None where rounding leaves no positive definite one.
+
+    In the time of the plant, with `S` along the first states, and as the difference from the identity: terms in
+    `S S^T`, which may exceed all others by many digits, then do not hide `W`.  Steps of Newton's method follow, each of
+    a Lyapunov equation, as the eigenvectors of the Riccati equation have lost digits.
+    """
+    n, k = len(A), S.shape[1]
+    rate = np.linalg.norm(A, 2) or 1.0
+    U, s, V = svd(S / np.sqrt(rate))
+    S = np.zeros((n, k))
+    S[: len(s)] = s[:, None] * V[: len(s)]
+    A, W = U.T @ A @ U / rate, U.T @ W @ U / rate
+    F, Q = A - S @ S.T, W + A + A.T
+    unit = max(1.0, float(np.sqrt(np.linalg.norm(Q, 2)) / (np.linalg.norm(S, 2) or 1.0)))  # of a solution far above 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # what is missed tells
+        try:
+            Y = unit * solve_continuous_are(F, np.sqrt(unit) * S, 0.5 * (Q + Q.T) / unit, np.eye(k))
+            change = np.zeros((n, n))
+            for _ in range(_STEPS):
+                Y = Y + 0.5 * (change + change.T)
+                closed = F - S @ S.T @ Y
+                off = Y @ closed + F.T @ Y + Q
+                size = 2 * np.linalg.norm(Y @ F) + np.linalg.norm(Y @ S) ** 2 + np.linalg.norm(Q)
+                change = solve_continuous_lyapunov(closed.T, -0.5 * (off + off.T))
+        except (np.linalg.LinAlgError, ValueError):
+            return None
+    X = np.eye(n) + Y
+    solved = np.linalg.norm(off) <= _SOLVED * size and np.linalg.eigvalsh(X)[0] > 0
+    return U @ X @ U.T if solved else None
 
 
 def _effort(effort: ArrayLike, k: int) -> Array:
