@@ -53,3 +53,13 @@ def test_zeros_with_losses_are_those_of_the_matrices(n):
     for z in sys.zeros():
         pencil = np.block([[z * np.eye(2 * n) - sys.A, -sys.B], [sys.C, sys.D]])
         assert np.linalg.svd(pencil, compute_uv=False)[-1] < 1e-13 * np.linalg.norm(pencil)
+
+
+@pytest.mark.parametrize("ports", [[0], [0, 2]])
+@pytest.mark.parametrize("mass, time", [(1e20, 1.0), (1e12, 1e-9), (1.0, 1e9), (1e-12, 1.0)])
+def test_zeros_do_not_depend_on_the_units(ports, mass, time):
+    M, K = np.diag([1.0, 2.0, 1.5]), np.array([[5.0, -4, 0], [-4, 9, -4], [0, -4, 5]])
+    F, C = np.eye(3)[:, ports], 0.05 * K
+    plain = phc.from_second_order(M, K, F, C=C).zeros()
+    scaled = phc.from_second_order(mass * M, mass / time**2 * K, F, C=mass / time * C).zeros() * time
+    np.testing.assert_allclose(np.sort_complex(scaled), np.sort_complex(plain), atol=1e-10)

@@ -256,14 +256,26 @@ class GeneralModalForm(ModalForm):
 
 
 def invariant_zeros(sys: ct.StateSpace) -> ComplexArray:
-    """Invariant zeros of a state space, by slycot with the room that many ports need, which is not its default."""
+    """Invariant zeros of a state space, by slycot with the room that many ports need, which is not its default.
+
+    In the time of the poles and with inputs and outputs of one size, to which its tolerance refers.
+    """
     n, m, p = sys.nstates, sys.ninputs, sys.noutputs
     if not n:
         return np.zeros(0, complex)
+    rate, b, c = (_power_of_2(np.linalg.norm(M, axis=k)) for M, k in ((sys.A, None), (sys.B, 0), (sys.C, 1)))
+    A, B, C, D = sys.A / rate, sys.B / b, sys.C / c[:, None], sys.D / c[:, None] / b * rate
     more = 3 * max(m, p)
-    pencil = ab08nd(n, m, p, sys.A, sys.B, sys.C, sys.D, ldwork=max(m, p, n) + max(more, n + max(m, p)))
+    pencil = ab08nd(n, m, p, A, B, C, D, ldwork=max(m, p, n) + max(more, n + max(m, p)))
     count, first, second = pencil[0], pencil[8], pencil[9]
-    return eigvals(first[:count, :count], second[:count, :count]).astype(complex) if count else np.zeros(0, complex)
+    if not count:
+        return np.zeros(0, complex)
+    return rate * eigvals(first[:count, :count], second[:count, :count]).astype(complex)
+
+
+def _power_of_2(size: Any) -> Array:
+    """The power of 2 next to each size, by which dividing rounds nothing; 1 for 0."""
+    return np.asarray(np.exp2(np.round(np.log2(np.where(size > 0, size, 1.0)))))
 
 
 def matrices_of(form: ModalForm) -> tuple[Array, Array, Array]:
