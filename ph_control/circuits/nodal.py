@@ -446,10 +446,10 @@ def _echelon(rows: Array) -> tuple[Array, list[int]]:
     Columns are eliminated; of incidence matrices all entries stay 0, 1 and -1.  An entry is 0 where it is rounding of
     what was added up to it.
     """
-    table, size, free, basis, columns = rows.copy(), np.abs(rows), list(range(rows.shape[1])), [], []
+    table, size, free, basis, columns = rows.copy(), np.abs(rows), np.arange(rows.shape[1]), [], []
     tolerance = _ROUNDING * max(1, rows.shape[1]) * _checks.EPS
     for k in range(len(table)):
-        if not free:
+        if not len(free):
             break
         pivot = free[int(np.abs(table[k, free]).argmax())]
         if not table[k, pivot]:
@@ -458,12 +458,15 @@ def _echelon(rows: Array) -> tuple[Array, list[int]]:
         table[:, pivot] /= table[k, pivot]
         others = table[k].copy()
         others[pivot] = 0.0
-        table -= np.outer(table[:, pivot], others)
-        size += np.outer(size[:, pivot], np.abs(others))
-        table[np.abs(table) <= tolerance * size] = 0.0
+        # most entries are 0 and stay it
+        met, moved = np.flatnonzero(size[:, pivot]), np.flatnonzero(others)
+        entries = np.ix_(met, moved)
+        changed = table[entries] - np.outer(table[met, pivot], others[moved])
+        size[entries] += np.outer(size[met, pivot], np.abs(others[moved]))
+        table[entries] = np.where(np.abs(changed) <= tolerance * size[entries], 0.0, changed)
         table[k, :] = 0.0
         table[k, pivot] = 1.0
-        free.remove(pivot)
+        free = free[free != pivot]
         basis.append(k)
         columns.append(pivot)
     return table[:, columns], basis
@@ -532,9 +535,8 @@ def _refuse_unconnected(elements: Sequence[Element]) -> None:
 
 def _refuse_contradictions(circuit: _Branches) -> None:
     branches, F, tree = circuit.each, circuit.F, circuit.tree
-    inside = set(tree)
+    inside, letters = set(tree), [branches[t].letter for t in tree]
     for k, branch in enumerate(branches):
-        letters = [branches[t].letter for t in tree]
         if k not in inside and branch.letter in "VC":
             met = np.flatnonzero(F[k])
             loop = ", ".join([branch.name, *(branches[tree[t]].name for t in met)])
