@@ -47,7 +47,8 @@ def reduce(
     sys : PortHamiltonian, SecondOrderSystem, or any system that `ph` takes
         The system; outputs after those of the ports are sensors.
     order : int, optional
-        Number of states, at most; a pair of complex poles has two.
+        Number of states, at most; a pair of complex poles has two.  By 'balanced' and 'h2' that of all but the poles on
+        the imaginary axis, which are kept beside them.
     tolerance : float, optional
         The fewest states with `error_bound` at most this part of the largest gain of `sys`, its H-infinity norm.
     band : (float, float), optional
@@ -80,7 +81,6 @@ def reduce(
 
     Notes
     -----
-    Poles on the imaginary axis are kept by the methods 'balanced' and 'h2', beside `order` states for the rest.
     In coordinates in which the energy is `|z|^2 / 2` any orthogonal projection is port-Hamiltonian: of an invariant
     subspace for modes, of the leading states of the balanced storage, whose extremes are `diag(s)` and its inverse.
     'h2' takes the best stationary models of all, found by iterated projection from a dozen starts (seeded, so that
