@@ -98,6 +98,31 @@ def test_gains_that_do_not_fit_are_refused(gain, options, message):
         phc.damping_injection(plain(CHAIN), 1.0)
 
 
+@pytest.mark.parametrize("system", [ct.tf([1.0], [1.0, 1.0]), ct.ss(-1.0, 1.0, 1.0, 0.0)])
+def test_a_controller_of_another_class_is_asked_for_in_port_hamiltonian_form(system):
+    for call in (phc.damping_injection, phc.damping_plot):
+        with pytest.raises(phc.StructureError, match=rf"is a {type(system).__name__}; pass ph\(controller\)"):
+            call(CHAIN, system, ports=[0])
+    with pytest.raises(phc.StructureError, match="gain of an observer is a matrix"):
+        phc.observer(CHAIN, system, ports=[0])
+    assert phc.damping_injection(CHAIN, phc.ph(system), ports=[0]).nstates == CHAIN.nstates + 1
+
+
+def test_a_port_that_is_named_twice_does_not_double_its_gain():
+    for call in (
+        lambda: phc.damping_injection(CHAIN, 1.0, ports=[0, 0]), lambda: phc.lqg(CHAIN, 0.1, ports=[0, "F_1"]),
+        lambda: phc.observer(CHAIN, 1.0, ports=[0, 2, 0]), lambda: phc.damping_plot(CHAIN, 1.0, ports=[0, 0]),
+        lambda: phc.optimal_damping(CHAIN, [0, 0]),
+    ):  # fmt: skip
+        with pytest.raises(phc.StructureError, match="port 'F_1' twice"):
+            call()
+    # two devices at one place are no mistake
+    absorber = phc.ph(np.diag([1.0, 2.0]), [1.0, 0.0], R=np.diag([0.0, 0.1]))
+    both = phc.damping_injection(CHAIN, absorber + absorber, ports=[0])
+    each = phc.damping_injection(CHAIN, phc.interconnect([absorber, absorber], np.zeros((2, 2))), ports=[0, 0])
+    np.testing.assert_allclose(each(0.7j), both(0.7j), rtol=1e-9)
+
+
 def test_a_controller_without_ports_is_refused():
     for call in (
         lambda: phc.lqg(CHAIN, 0.1, ports=[]), lambda: phc.observer(CHAIN, ports=[]),

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import control as ct
 import numpy as np
+import scipy.signal
 
 from .. import _checks
 from .._types import Array, ArrayLike
@@ -45,7 +47,8 @@ def damping_injection(
     Raises
     ------
     StructureError
-        If the gain makes energy, its size is not that of the ports, or there is no such port.
+        If the gain makes energy or is another system (give `ph(system)`), its size is not that of the ports, a port
+        with a gain is named twice, or there is no such port.
 
     Notes
     -----
@@ -61,8 +64,8 @@ def damping_injection(
     array([0.0752, 0.0334])
     """
     plant(sys)
-    port_indices = port_numbers(sys, ports)
-    return through_ports(sys, controller_of(gain, len(port_indices)), port_indices, **names)
+    controller, port_indices = feedback(sys, gain, ports)
+    return through_ports(sys, controller, port_indices, **names)
 
 
 def plant(sys: object) -> None:
@@ -71,8 +74,11 @@ def plant(sys: object) -> None:
         raise StructureError(f"the plant is a {type(sys).__name__}; pass a PortHamiltonian system, made by ph")
 
 
-def port_numbers(sys: PortHamiltonian, ports: Any) -> list[int]:
-    """Numbers of ports, given by numbers or the names of their inputs; all by default."""
+def port_numbers(sys: PortHamiltonian, ports: Any, *, repeated: bool = False) -> list[int]:
+    """Numbers of ports, given by numbers or the names of their inputs; all by default.
+
+    `repeated` allows several devices at one port.
+    """
     if ports is None:
         ports = range(sys.ninputs)
     # an array without axes has the method, but cannot be iterated
@@ -81,7 +87,21 @@ def port_numbers(sys: PortHamiltonian, ports: Any) -> list[int]:
     numbers = [_checks.signal_number("input", port, sys.input_labels) for port in ports]
     if not numbers:
         raise StructureError("no port is named, or the plant has none; name at least one")
+    twice = [k for k, port in enumerate(numbers) if port in numbers[:k]]
+    if twice and not repeated:
+        raise StructureError(
+            f"ports={_checks.shown(ports)} names port {sys.input_labels[numbers[twice[0]]]!r} twice, where its gain "
+            "would count as often; name each port once"
+        )
     return numbers
+
+
+def feedback(
+    sys: PortHamiltonian, gain: ArrayLike | PortHamiltonian, ports: Any
+) -> tuple[PortHamiltonian | Array, list[int]]:
+    """A gain or controller that takes energy, and the numbers of its ports."""
+    port_indices = port_numbers(sys, ports, repeated=isinstance(gain, PortHamiltonian))
+    return controller_of(gain, len(port_indices)), port_indices
 
 
 def controller_of(gain: ArrayLike | PortHamiltonian, k: int) -> PortHamiltonian | Array:
@@ -90,6 +110,12 @@ def controller_of(gain: ArrayLike | PortHamiltonian, k: int) -> PortHamiltonian 
         if gain.ninputs != k:
             raise StructureError(f"the controller has {gain.ninputs} ports and the plant is fed back at {k}; name them")
         return gain
+    if isinstance(gain, ct.InputOutputSystem | scipy.signal.lti):
+        kind = type(gain).__name__
+        raise StructureError(
+            f"the controller is a {kind}; pass ph(controller), its port-Hamiltonian form, which refuses one that "
+            "is not passive"
+        )
     K = _checks.real_array("the gain", gain)
     if K.shape == () or K.shape == (k,):
         K = np.diag(np.broadcast_to(K, k))

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
+import control as ct
 import numpy as np
 from scipy.linalg import eig, solve_continuous_are, solve_continuous_lyapunov, svd
 
@@ -79,7 +80,7 @@ def observer(
     port_indices = port_numbers(sys, ports)
     refuse_feedthrough(sys, port_indices)
     chosen = _default_gain(sys, port_indices) if gain is None else gain
-    if isinstance(chosen, PortHamiltonian):
+    if isinstance(chosen, ct.InputOutputSystem):
         raise StructureError("the gain of an observer is a matrix; it is a system")
     K = np.asarray(controller_of(chosen, len(port_indices)))
     part = parts_of(sys)

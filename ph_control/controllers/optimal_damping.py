@@ -182,7 +182,7 @@ def optimal_damping(
     """
     plant(sys)
     _checks.choice("criterion", criterion, get_args(Criteria))
-    port_indices = port_numbers(sys, ports)
+    port_indices = port_numbers(sys, ports, repeated=mass is not None)
     masses = None if mass is None else _masses(mass, len(port_indices))
     loop = _Loop.of(sys, port_indices, masses, outputs, inputs)
     if criterion == "fixed points":

@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from .. import _checks
 from .._types import Array, ArrayLike, ComplexArray
 from .._units import unit_for
-from ..controllers.damping_injection import controller_of, damping_injection, plant, port_numbers
+from ..controllers.damping_injection import damping_injection, feedback, plant
 from ..exceptions import StructureError
 from ..systems.port_hamiltonian import PortHamiltonian
 from .inputs import subjects_of, title_of
@@ -89,7 +89,7 @@ def damping_plot(
     >>> plt.close(plot.figure)
     """
     plant(sys)
-    gain = controller_of(controller, len(port_numbers(sys, ports)))
+    gain, _ = feedback(sys, controller, ports)
     scale = _FACTORS if factors is None else _checks.real_array("the factors", factors, 1)
     if not len(scale) or np.any(scale <= 0) or np.any(np.diff(scale) <= 0):
         raise StructureError("the factors must be positive and ascend, at least one of them")
