@@ -535,6 +535,11 @@ def test_nyquist_curves_have_the_sign_of_electrochemists_for_impedances_only():
     (dots,) = plot.lines[0, 0]
     np.testing.assert_allclose(dots.get_xdata() + 1j * dots.get_ydata(), cell.conj())
     assert plot.axes[0, 0].get_ylabel() == "−Im [V/A]"
+    for volts, amperes in (("V", "mA"), ("mV", "A"), ("µV", "nA"), ("kV", "kA")):
+        scaled = ct.frd(cell, omega, outputs=f"v [{volts}]", inputs=f"i [{amperes}]")
+        assert phc.nyquist_plot(scaled, Hz=False).axes[0, 0].get_ylabel() == f"−Im [{volts}/{amperes}]"
+    admittance = ct.frd(1 / cell, omega, outputs="i [mA]", inputs="v [mV]")
+    assert phc.nyquist_plot(admittance, Hz=False).axes[0, 0].get_ylabel() == "Im [mA/mV]"
     model = ct.tf([0.005, 0.03], [0.5, 1.0])
     for options, sign in (({"gain_unit": "Ω"}, -1), ({}, 1), ({"gain_unit": "Ω", "negative_imaginary": False}, 1)):
         curve = phc.nyquist_plot(model, **options).lines[0, 0][0].get_ydata()

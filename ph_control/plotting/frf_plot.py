@@ -131,7 +131,7 @@ def frf_plot(
         What is drawn of each response; bands are those of magnitude and phase.
     negative_imaginary : bool, optional
         Whether the imaginary part is drawn with its sign changed, as is usual for impedances; by default where the
-        unit of the response is the ohm.
+        unit of the response is the ohm, or volts over amperes, with any prefixes.
     ax : array of matplotlib.axes.Axes, shape (2p, m), optional
         Axes to draw on, magnitude above phase for each response.  By default a new figure.
     **style
@@ -209,7 +209,8 @@ def nyquist_plot(
     data, outputs, inputs, omega_limits, Hz, segments, intersample
         As in `frf_plot`; frequencies are those of the curves.
     negative_imaginary : bool, optional
-        Whether `-Im` points upwards, as is usual for impedances; by default where the unit of the response is the ohm.
+        Whether `-Im` points upwards, as is usual for impedances; by default where the unit of the response is the ohm,
+        or volts over amperes, with any prefixes.
     time_unit, gain_unit
         As in `frf_plot`.
     ax : array of matplotlib.axes.Axes, optional

@@ -37,7 +37,8 @@ DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "
 
 _DRAWN = 6000  # samples beyond which a line is drawn by the extremes of its bins: the same picture, drawn faster
 _PER_INCH = 12.5  # letters of a legend, with some room between its columns
-_OHM = re.compile(r"[munµμkM]?(ohm|Ω|\u2126)|V/A$", re.IGNORECASE)
+_PREFIX = "[pnuµμmkMG]?"
+_OHM = re.compile(rf"{_PREFIX}(ohm|Ω|\u2126|V/{_PREFIX}A$)", re.IGNORECASE)
 _PLAIN = 100.0  # ratio of the ends of a logarithmic abscissa below which its labels are plain numbers
 _MINOR = 0.35  # opacity of the grid lines between the main ones
 
