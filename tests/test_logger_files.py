@@ -328,6 +328,20 @@ def test_hdf5_is_read_by_paths(tmp_path):
     assert data.time.tolist() == [0, 0.5, 1] and data.output_labels == ["run.acc[0]", "run.acc[1]"]
 
 
+def test_arrays_of_plain_hdf5_are_samples_by_channels(tmp_path):
+    path = tmp_path / "run.h5"
+    acc = np.arange(12.0).reshape(4, 3)
+    with h5py.File(path, "w") as file:
+        file["run/acc"] = acc
+        file["other/acc"] = acc.T
+        file["other/acc"].attrs["MATLAB_class"] = np.bytes_("double")
+    for name in ("run/acc", "other/acc"):  # the second has the dimensions in the order of MATLAB, and its mark
+        data = phc.read_recording(path, input=False, output=name, dt=0.1)
+        assert np.array_equal(data.outputs, acc.T)
+        data = phc.read_recording(path, input=f"{name}[0]", output=f"{name}[2]", dt=0.1)
+        assert data.inputs.tolist() == [0, 3, 6, 9] and data.outputs.tolist() == [2, 5, 8, 11]
+
+
 def test_wav_has_full_scale_one():
     file = io.BytesIO()
     scipy.io.wavfile.write(file, 100, np.array([0, 128, 255], np.uint8))

@@ -181,14 +181,14 @@ def _hdf5_variables(content: bytes, name: str) -> dict[str, Any]:
             "save the file in MATLAB with the option '-v7'"
         ) from None
     with h5py.File(io.BytesIO(content), "r") as file:
-        return _Hdf5(file, h5py, name).fields(file, 0)
+        return _Hdf5(file, h5py, name, content.startswith(b"MATLAB ")).fields(file, 0)
 
 
 class _Hdf5:
     """Values of the nodes of one file; links and data outside of it are refused, and so are declared sizes it lacks."""
 
-    def __init__(self, file: Any, h5py: Any, name: str) -> None:
-        self.file, self.h5py, self.name = file, h5py, name
+    def __init__(self, file: Any, h5py: Any, name: str, of_matlab: bool) -> None:
+        self.file, self.h5py, self.name, self.of_matlab = file, h5py, name, of_matlab
         self.nodes = 0
 
     def fields(self, group: Any, depth: int) -> dict[str, Any]:
@@ -242,7 +242,7 @@ class _Hdf5:
         return self.value(self.file[reference], depth + 1) if reference else np.zeros((0, 0))
 
     def array(self, node: Any) -> Any:
-        """Array in the order of its dimensions in MATLAB, at least two of them."""
+        """Array in the order of dimensions of the program that wrote it, at least two of them."""
         held = node.id.get_storage_size()
         if node.external or node.is_virtual:
             raise FileFormatError(f"{self.name}: {node.name} lies in another file, and no other file is opened")
@@ -253,7 +253,10 @@ class _Hdf5:
             )
         if node.shape is None:
             return np.zeros((0, 0))
-        values = np.asarray(node[()]).T
+        values = np.asarray(node[()])
+        if self.of_matlab or self.kind(node):
+            # MATLAB writes the dimensions in the other order
+            values = values.T
         # numbers and vectors of other programs
         return values.reshape(1, -1) if values.ndim < 2 else values
 

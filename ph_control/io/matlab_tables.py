@@ -81,6 +81,7 @@ def read_mat(
     -----
     Samples run along the rows of a matrix, as MATLAB has them, unless only its columns are as many as the samples of
     the time or of a vector.  h5py reads files of version 7.3 (HDF5); no other file is opened for links in them.
+    Arrays of HDF5 that MATLAB did not save have the dimensions that h5py shows, samples by channels.
     O(size of the file).
 
     Examples
