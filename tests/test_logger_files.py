@@ -350,6 +350,24 @@ def test_wav_has_full_scale_one():
     assert data.time.tolist() == [0, 0.01, 0.02] and data.outputs.tolist() == [-1, 0, 127 / 128]
 
 
+@pytest.mark.parametrize("order", "<>")
+def test_a_wav_file_that_was_cut_short_is_refused(order):
+    file = io.BytesIO()
+    scipy.io.wavfile.write(file, 100, np.zeros((200, 2), f"{order}i2"))
+    whole = file.getvalue()
+
+    def read(content):
+        file = io.BytesIO(content)
+        file.name = "bell.wav"
+        return phc.read_recording(file, input="channel 1", output="channel 2")
+
+    for content in (whole, whole + b"LIST" + bytes(6)):  # what follows the samples may be missing
+        assert read(content).outputs.shape == (200,)
+    for size in (300, 301):
+        with pytest.raises(phc.FileFormatError, match=f"announces 800 bytes of samples, and {size - 44} are there"):
+            read(whole[:size])
+
+
 @pytest.mark.parametrize("package, suffix", [("nptdms", "tdms"), ("pyarrow", "parquet"), ("h5py", "h5")])
 def test_a_package_that_is_not_installed_is_named_with_its_installation(package, suffix, monkeypatch, tmp_path):
     path = tmp_path / f"run.{suffix}"

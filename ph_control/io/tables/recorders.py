@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import scipy.io.wavfile
@@ -77,7 +77,27 @@ def _without_objects(values: Any) -> Any:
         return values.astype(str)
 
 
+def _check_length(content: bytes, name: str) -> None:
+    """Refuse a WAV file whose samples are fewer than its header announces: scipy reads what is there."""
+    order: Literal["big", "little"] = "big" if content.startswith(b"RIFX") else "little"
+    place = 12
+    while place < len(content):
+        kind, size = content[place : place + 4], int.from_bytes(content[place + 4 : place + 8], order)
+        if kind == b"data":
+            # of files beyond 4 GB the first chunk has the sizes
+            announced = int.from_bytes(content[28:36], order) if content.startswith(b"RF64") else size
+            held = len(content) - place - 8
+            if held < announced:
+                raise FileFormatError(
+                    f"{name} was cut short: it announces {announced} bytes of samples, and {held} are there; "
+                    "copy it again"
+                )
+            return
+        place += 8 + size + size % 2
+
+
 def _wav(content: bytes, name: str) -> ArrayTable:
+    _check_length(content, name)
     with warnings.catch_warnings():
         # chunks that scipy does not know, such as names of tracks
         warnings.simplefilter("ignore")
