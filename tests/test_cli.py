@@ -106,6 +106,14 @@ def test_result_and_bode_picture_are_written_on_request(recording, tmp_path):
     assert shown.status == 0 and shown.out.strip() == phc.load(result).summary().strip()
 
 
+@pytest.mark.parametrize("structure", ["lossless", "classical", "free"])
+def test_info_as_json_tells_whether_a_fit_is_lossless(damped, structure, tmp_path):
+    result = tmp_path / "result.json"
+    run("fit", damped, "--order", 1, "--structure", structure, "--noise", "white", "--result", result)
+    answer = strict_json(run("info", result, "--json").out)
+    assert answer["lossless"] is (structure == "lossless") and answer["structure"] == structure
+
+
 def test_a_recording_may_come_in_and_the_model_go_out_through_pipes(recording):
     piped = run("fit", "-", "--order", 2, "--model", "-", stdin=recording.read_bytes())
     assert (piped.status, piped.error) == (0, "")

@@ -49,9 +49,10 @@ def run(options: Namespace) -> int:
 
 def _answer(model: Model) -> tuple[dict[str, Any], str]:
     """What there is to say of a model, for machines and for people."""
-    known = {"source": model.source, "kind": type(model.content).__name__, "lossless": True}
+    known: dict[str, Any] = {"source": model.source, "kind": type(model.content).__name__}
     if model.is_result:
-        return {**known, **fit_of(model.content)}, in_shell_terms(model.content.summary())
+        result = model.content
+        return {**known, "lossless": result.structure == "lossless", **fit_of(result)}, in_shell_terms(result.summary())
     given = _foreign(model)
     try:
         # an affine system is what it is
@@ -60,7 +61,7 @@ def _answer(model: Model) -> tuple[dict[str, Any], str]:
         text = "\n".join([f"{given}, NOT {error.missing}", *(f"  - {line}" for line in error.violations)])
         return {**known, "lossless": False, "violations": error.violations}, text
     known["lossless"] = bool(system.is_lossless)
-    lines = [f"{given}, {'lossless' if known['lossless'] else 'with losses'}"] if given else []
+    lines = [f"{given}, {'lossless' if system.is_lossless else 'with losses'}"] if given else []
     return {**known, **_fields_of(system), "violations": []}, "\n".join(lines + _lines(system))
 
 
