@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import control as ct
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from shell import run
@@ -171,6 +172,25 @@ def test_titles_and_labels_are_in_the_picture(here):
     assert "Step response of one, other" in target.read_text()
     run("plot", "step", "plant.json", "--title", "A title", "--out", target, "--overwrite")
     assert "A title" in target.read_text() and "Step response" not in target.read_text()
+
+
+@pytest.mark.parametrize("kind", ["step", "impulse"])
+def test_a_fit_with_damping_and_a_delay_is_drawn_with_its_band(here, kind, monkeypatch):
+    rng, t = np.random.default_rng(0), 0.5 * np.arange(300)
+    u = rng.standard_normal(300)
+    y = phc.forced_response(phc.ph(phc.modes(1.0, 1.0, damping=0.1)), t, u, intersample="zoh").outputs
+    late = np.append(np.zeros(4), y[:-4]) + 0.01 * rng.standard_normal(300)
+    result = phc.pem((u, late), 1, dt=0.5, structure="free", noise="white", delay=2.0, real_poles=0)
+    result.save(here / "damped.json")
+    drawn = []
+    monkeypatch.setattr("ph_control.cli.commands.plot.deliver_picture", lambda plot, *args, **more: drawn.append(plot))
+    done = run("plot", kind, here / "damped.json", "--band", "0.95", "--until", "20", "--out", here / "a.svg")
+    assert (done.status, done.error) == (0, "")
+    (axis,) = drawn[0].axes.ravel()
+    assert any("95 % band" in str(part.get_label()) for part in axis.collections)
+    time, values = axis.lines[0].get_data()
+    assert np.all(values[time < 2.0] == 0) and np.abs(values).max() > 0.5
+    plt.close(drawn[0].figure)
 
 
 def test_plot_answers_as_json(here):

@@ -357,12 +357,18 @@ def test_a_band_that_costs_too_much_is_drawn_for_the_beginning_and_says_so(monke
     assert band.get_label() == f"95 % band (to {end:.3g})"
 
 
-def test_a_band_is_not_drawn_where_it_would_be_aliased_or_where_there_is_none():
+def test_a_band_is_not_drawn_where_it_would_be_aliased():
     with pytest.raises(StructureError, match="do not resolve 1 mode at d = 1e"):
         step_plot(phc.modes([1.0, 1e6], [1.0, 1.0]), confidence=models())
-    for sys in (ct.tf([1], [1, 1]), phc.affine(np.eye(2), [1, 0])):
-        with pytest.raises(StructureError, match="bands are those of port-Hamiltonian systems"):
-            step_plot(sys, confidence=models(n=1))
+
+
+@pytest.mark.parametrize("kind", PLOTS)
+def test_a_band_is_drawn_around_systems_of_every_kind(kind):
+    damped = phc.ph(phc.modes(1.0, 1.0, damping=0.02))
+    assert damped.nstates == 2 and not damped.is_lossless
+    for sys in (damped, ct.ss(damped), ct.tf([1], [1, 1]), phc.affine(np.eye(2), [1, 0])):
+        plot = PLOTS[kind](sys, 10.0, confidence=models(n=1))
+        assert labelled(plot.axes[0, 0], "95 % band")
 
 
 # --- modes ---

@@ -26,7 +26,7 @@ from ..numerics.rational import poles as poles_of
 from ..numerics.rational import state_space
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import ph
-from .inputs import Subject, is_fit, lateness_of, models_around, subjects_of, timebase, title_of
+from .inputs import Subject, lateness_of, models_around, subjects_of, timebase, title_of
 from .style import BAND, DOTS, ZERO, AxesGiven, LineStyle, Look, extremes, labelled, picture, plain
 
 if TYPE_CHECKING:
@@ -272,7 +272,7 @@ def transient_data(
         else:
             trace = _lossless(subject, modes, kind, given, end, timepts_num)
         trace = replace(trace, late=lateness_of(subject.given))
-        band = None if drawn is None else _band(subject, modes, trace, drawn, kind, level)
+        band = None if drawn is None else _band(trace, drawn, kind, level)
         traces.append(replace(trace, band=band))
     outputs = first.output_labels
     if any(subject.system.output_labels != outputs for subject in subjects):
@@ -422,17 +422,13 @@ def _stepped(subject: Subject, kind: str, given: Array | None, end: float, sampl
     return Trace(label, t, values, values, joined=joined, sampled=sampled)
 
 
-def _band(subject: Subject, modes: ModalForm | None, trace: Trace, models: Any, kind: str, level: float) -> TimeBand:
-    if not is_fit(subject.given) and (modes is None or (subject.lossless and subject.system._integrated)):
-        raise StructureError(f"bands are those of port-Hamiltonian systems; {subject.system.name} is none")
+def _band(trace: Trace, models: Any, kind: str, level: float) -> TimeBand:
     if not trace.resolved:
         raise StructureError(
             f"no band can be drawn at instants that do not resolve {listed(trace.fast)}; pass timepts of at most "
             f"{_MOST * 2 * np.pi / _PER_PERIOD / float(trace.fast.max()):.3g}"
         )
-    draws = len(models) if hasattr(models, "__len__") else 1
-    count = subject.system.nstates // 2 if modes is None else modes.n
-    t = trace.time[: max(2, _MOST_IN_BAND // max(1, draws * count))] + float(trace.late[0, 0])
+    t = trace.time[: max(2, _MOST_IN_BAND // max(1, models.poles.size))] + float(trace.late[0, 0])
     ends = (models.step_band if kind == "step" else models.impulse_band)(t, level)
     shown = f"{100 * level:g} % band" + ("" if len(t) == len(trace.time) else f" (to {t[-1]:.3g})")
     return TimeBand(shown, t, np.asarray(ends))

@@ -97,11 +97,6 @@ def _around(models: Sequence[Model], options: Namespace) -> dict[str, Any]:
     return {"confidence": [model.content if model.is_result else None for model in models], "level": options.band}
 
 
-def _drawn(models: Sequence[Model]) -> list[Any]:
-    """Systems of the models; of a fit that to the quantity that was measured."""
-    return [model.content.observed_system if model.is_result else model.content for model in models]
-
-
 def _bode(models: list[Model], labels: list[str], options: Namespace) -> Any:
     data = measurements([options.recording], options).whole if options.recording else None
     return phc.bode_plot(
@@ -113,8 +108,8 @@ def _bode(models: list[Model], labels: list[str], options: Namespace) -> Any:
 def _transient(models: list[Model], labels: list[str], options: Namespace) -> Any:
     draw = phc.step_plot if options.kind == "step" else phc.impulse_plot
     return draw(
-        _drawn(models), options.until, label=labels, title=options.title, output_unit=options.unit,
-        time_unit=options.time_unit, **_around(models, options),
+        [model.content for model in models], options.until, label=labels, title=options.title,
+        output_unit=options.unit, time_unit=options.time_unit, **_around(models, options),
     )  # fmt: skip
 
 
@@ -126,9 +121,8 @@ def _modes(models: list[Model], labels: list[str], options: Namespace) -> Any:
 
 
 def _poles(models: list[Model], labels: list[str], options: Namespace) -> Any:
-    return phc.pole_zero_plot(
-        _drawn(models), Hz=options.hz, label=labels, title=options.title, time_unit=options.time_unit
-    )
+    given = [model.content for model in models]
+    return phc.pole_zero_plot(given, Hz=options.hz, label=labels, title=options.title, time_unit=options.time_unit)
 
 
 def _energy(models: list[Model], labels: list[str], options: Namespace) -> Any:
