@@ -90,9 +90,12 @@ PLATE = phc.ph(
 )  # fmt: skip
 ODD = phc.ph(np.eye(3), [1.0, 0.0, 0.0], J=[[0, 1, 0], [-1, 0, 2], [0, -2, 0]], R=np.diag([0.1, 0.0, 0.0]), name="odd")
 CRITICAL = phc.ph(np.eye(2), [0.0, 1.0], R=np.diag([0.0, 2.0]))
+GAIN = phc.ph(
+    np.zeros((0, 0)), np.zeros((0, 2)), S=np.eye(2), N=[[0, 1], [-1, 0]], sensors=(np.zeros((1, 0)), [[3, 4]])
+)
 
 
-@pytest.mark.parametrize("system", [PLATE, ODD, CRITICAL], ids=lambda system: f"{system.nstates} states")
+@pytest.mark.parametrize("system", [PLATE, ODD, CRITICAL, GAIN], ids=lambda system: f"{system.nstates} states")
 @pytest.mark.parametrize("name", ["x.json", "x.mat"])
 def test_a_system_with_losses_goes_round_through_files_with_all_it_has(system, name, tmp_path):
     phc.save(system, tmp_path / "kept.json")

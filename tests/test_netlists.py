@@ -252,7 +252,7 @@ def test_a_line_that_is_not_understood_is_named(line, number):
 @pytest.mark.parametrize(
     ("lines", "reason"),
     [
-        ("", "no elements"), ("L1 1 0 1", "no source"), ("V1 1 0\nR1 1 0 5", "no state"),
+        ("", "no elements"), ("L1 1 0 1", "no source"),
         ("V1 1 2\nL1 1 2 1", "no ground"), ("V1 1 0\nC1 1 0 1", "C1, V1 are a loop"),
         ("V1 1 0\nC1 1 2 1\nC2 2 0 1\nC3 1 0 1", "loop"), ("V1 1 0\nV2 1 0\nL1 1 0 1", "V2, V1 are a loop"),
         ("I1 0 1\nL1 1 0 1", "L1, I1 are a cut set"), ("I1 0 1\nI2 1 0\nC1 2 0 1\nR1 2 0 1", "I1, I2 are a cut set"),
@@ -276,6 +276,7 @@ CIRCUITS = [
     ("V1 1 0\nR1 1 2 1\nV2 2 3\nL1 3 4 1\nR4 4 0 1\nC4 4 0 1\nI2 3 4", 2),
     ("I1 0 1\nL1 1 2 1\nL2 1 3 2\nR1 1 0 1e3\nR2 2 0 1e-3\nR3 3 0 10\nK1 L1 L2 -0.99", 2),
     ("I1 0 1\nR1 1 2 3\nVS a 0 0\nE1 a b 2 0 0.5\nF1 2 0 VS 0.5\nC1 b 0 1\nL1 2 0 1", 2),  # a transformer
+    ("V1 1 0\nR1 1 0 5\nI2 0 2\nR2 2 1 3\nR3 2 0 1", 0),  # resistors alone
 ]
 
 
@@ -286,6 +287,12 @@ def test_circuits_with_loops_cut_sets_couplings_and_several_ports(lines, states)
     assert sys.nstates == states
     for w in (0.3, 2.1):
         assert np.allclose(sys(1j * w).reshape(sys.noutputs, -1), nodal(text, w), rtol=1e-10, atol=1e-14)
+
+
+@pytest.mark.parametrize("kind", ["admittance", "impedance"])
+def test_a_resistor_comes_back_from_its_netlist(kind):
+    back = phc.read_netlist(phc.netlist(ct.tf([2.0], [1.0]), kind=kind).spice())
+    assert back.nstates == 0 and np.allclose(back.D, 2.0) and not back.is_lossless
 
 
 # --- files, SPICE, lcapy ---------------------------------------------------------------------------------------------

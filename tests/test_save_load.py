@@ -117,6 +117,16 @@ def test_canonical_and_affine_systems_come_back_bit_for_bit(make, tmp_path):
         assert getattr(system, name) == getattr(back, name)
 
 
+def test_a_gain_which_has_no_states_comes_back(tmp_path):
+    resistor = phc.ph(ct.tf([2.0], [1.0]), name="resistor")
+    assert resistor.nstates == 0
+    save(resistor, tmp_path / "model.json")
+    back = load(tmp_path / "model.json")
+    assert (type(back), back.name, back.D.tolist()) == (type(resistor), "resistor", [[2.0]])
+    for part in "QGJRPSN":
+        assert_same_bits(getattr(resistor, part), getattr(back, part))
+
+
 @property_test
 @given(modes=modal_forms())
 def test_every_modal_form_comes_back_bit_by_bit(tmp_path_factory, modes):

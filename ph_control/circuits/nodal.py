@@ -80,7 +80,7 @@ def read_netlist(
     FileMissingError
         If there is no such file.
     StructureError
-        If there is no port, no state or no ground, a part is not connected to ground, sources contradict each other,
+        If there is no port or no ground, a part is not connected to ground, sources contradict each other,
         a source charges capacitors or cuts inductors without anything between (its current would contain the derivative
         of its voltage), couplings supply energy, or controlled sources are no transformer.
 
@@ -90,7 +90,7 @@ def read_netlist(
     parameters), `.param`, `.global`, and pairs of E and F that make ideal transformers as `netlist` writes them.  Of an
     inductor or capacitor `Rser`, `Lser`, `Rpar`, `Cpar` and `Rlshunt` are elements of their own, as in LTspice but 0 by
     default, and of a voltage source `Rser` and `Cpar`; `m` is a number of elements side by side.  R = 0 and L = 0 are
-    wires, and C = 0 is nothing.
+    wires, and C = 0 is nothing.  Resistors alone are a gain, a system without states.
 
     Values have suffixes t, g, meg, k, mil, m, u, n, p, f with any unit behind them (f is 1e-15 and m 1e-3, in either
     case).  In braces or single quotation marks stands arithmetic of numbers and parameters: `+ - * / **` (also `^`),
@@ -206,8 +206,6 @@ def _system(elements: Sequence[Element], names: dict[str, Any]) -> DissipativePo
     capacitance, inductance = _storage(branches, coils.inductance)
     K = _kirchhoff(branches)
     n = len(capacitance) + len(inductance)
-    if n == 0:
-        raise StructureError("the netlist has no capacitor and no inductor, and so no state; nothing moves in it")
     sources = branches.of("V") + branches.of("I")
     pick = np.array([*range(n), *(n + sources.index(each.index(port)) for port in ports)])
     energies, turns_of_states = zip(*map(_energy, (capacitance, inductance)), strict=True)

@@ -102,15 +102,19 @@ def dissipative_to_dict(system: DissipativePortHamiltonian) -> dict[str, Any]:
     """Fields of a system with losses: its names, structure matrices and sensors."""
     parts = {name: getattr(system, name) for name in "QGJRPSN"}
     rows, through = system.sensors
-    sensors = {"sensor_rows": rows, "sensor_feedthrough": through} if rows.size else {}
+    sensors = {"sensor_rows": rows, "sensor_feedthrough": through} if len(rows) else {}
     return system._names() | parts | sensors | ({"time_unit": system.time_unit} if system.time_unit else {})
 
 
 def _dissipative_from_dict(fields: Fields) -> DissipativePortHamiltonian:
-    Q, G, J, R, P, S, N = (fields.array(key, (None, None)) for key in "QGJRPSN")
+    Q, N = (fields.array(key, (None, None)) for key in "QN")
+    # of a gain, which has no states, only N tells the number of ports
+    n, m = len(Q), len(N)
+    J, R, S = (fields.array(key, (size, size)) for key, size in (("J", n), ("R", n), ("S", m)))
+    G, P = (fields.array(key, (n, m)) for key in "GP")
     sensors = None
     if "sensor_rows" in fields:
-        sensors = fields.array("sensor_rows", (None, None)), fields.array("sensor_feedthrough", (None, None))
+        sensors = fields.array("sensor_rows", (None, n)), fields.array("sensor_feedthrough", (None, m))
     unit = checked_unit(fields.text("time_unit")) if "time_unit" in fields else None
     system = DissipativePortHamiltonian(Q, G, R=R, P=P, S=S, N=N, J=J, sensors=sensors, **_names_from_dict(fields))
     system.time_unit = unit
