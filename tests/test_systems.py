@@ -462,6 +462,20 @@ def test_a_matrix_can_be_neither_replaced_nor_written(operand, name):
     assert np.array_equal(getattr(sys, name), before)
 
 
+@pytest.mark.parametrize(
+    "sys",
+    [phc.ph(np.eye(2), [0.0, 1.0], R=np.diag([0.0, 0.1])), phc.ph(phc.modes(1.0, 1.0)), phc.ch([1.0], [1.0, 0.0]),
+     phc.affine(np.eye(2), [1.0, 0.0])],
+    ids=lambda sys: type(sys).__name__,
+)  # fmt: skip
+def test_the_time_base_cannot_be_changed(sys):
+    for dt in (0.1, True, None):
+        with pytest.raises(AttributeError, match=f"dt of a {type(sys).__name__} cannot be changed: .* sample"):
+            sys.dt = dt
+    for twin in (sys, copy.deepcopy(sys), sys.copy("twin"), pickle.loads(pickle.dumps(sys)), ct.ss(sys)):
+        assert twin.dt == 0 and twin.isctime(strict=True)
+
+
 @pytest.mark.parametrize("name", ["d", "r"])
 def test_modal_data_can_be_neither_replaced_nor_written(name):
     sys = one_port()

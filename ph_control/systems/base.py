@@ -98,6 +98,20 @@ class LosslessSystem(ct.StateSpace):
             self.nstates, self._state_index = nstates, None
 
     @property
+    def dt(self) -> int:
+        """Time base, 0: the system is continuous."""
+        return 0
+
+    @dt.setter
+    def dt(self, dt: float) -> None:
+        # python-control sets it as well, to 0
+        if dt != 0:
+            raise AttributeError(
+                f"dt of a {type(self).__name__} cannot be changed: the system is continuous; make a sampled one with "
+                "ph_control.sample(sys, dt)"
+            )
+
+    @property
     def state_index(self) -> dict[str, int]:
         """Names of the states, each with its index; made on first access."""
         if self._state_index is None:
