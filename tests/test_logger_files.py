@@ -219,6 +219,25 @@ def test_lines_above_the_table_can_be_left_out_by_number():
         phc.read_csv(io.StringIO(text), comment=3)
 
 
+@pytest.mark.parametrize("between", ["\n", "\n\nsecond run\n", "\n# second run\n"])
+@pytest.mark.parametrize("first, second", [(5, 9), (9, 5), (5, 5)])
+def test_of_tables_with_as_many_columns_the_largest_is_read(first, second, between):
+    tables = [
+        f"t,{labels}\n" + "".join(f"{k},{scale * k},{k}\n" for k in range(count))
+        for labels, scale, count in (("u,y", 2, first), ("v,z", 3, second))
+    ]
+    data = phc.read_csv(io.StringIO(between.join(tables)), input=1)
+    expected = ("v", "z", 3, second) if second > first else ("u", "y", 2, first)
+    assert (data.input_labels, data.output_labels) == ([expected[0]], [expected[1]])
+    assert data.inputs.tolist() == [expected[2] * k for k in range(expected[3])]
+
+
+def test_a_row_of_words_within_a_table_is_refused():
+    for text in ("t,u,y\n0,1,1\n1,2,2\nover,over,over\n3,4,4\n", "t,u,y\n0,1,1\n1,2,2\n\n2,over,3\n3,4,4\n"):
+        with pytest.raises(phc.FileFormatError, match="'over' is not a number"):
+            phc.read_csv(io.StringIO(text), input="u", output="y")
+
+
 @pytest.mark.parametrize(
     "content, message",
     [

@@ -11,7 +11,8 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from ..._checks import without_unit
 from ..._units import UNIT, known_unit
@@ -247,12 +248,25 @@ def find_bodies(lines: Sequence[str], content: Sequence[int], layout: Layout, he
     numbers: Counter[_Shape] = Counter()
     for kind in rows:
         numbers[_Shape(len(kind), tuple(j for j, letter in enumerate(kind) if letter != "t"))] += kind.count("n")
-    bodies = (_body(text, shape, header) for shape, _ in numbers.most_common(4))
-    return [body for body in bodies if body]
+    return [body for shape, _ in numbers.most_common(4) for body in _bodies(text, shape, header)]
+
+
+def _bodies(text: _Text, shape: _Shape, header: bool | None) -> list[Body]:
+    """Rows of one shape, the longest table first: a line of words below a blank one begins another."""
+    content, count = text.content, len(text.content)
+    first = next((k for k in range(count) if shape.fits(text.letters(k))), count)
+    starts = [
+        k for k in range(first + 1, count)
+        if not all(line.strip() for line in text.lines[content[k - 1] + 1 : content[k]])
+        and "t" in text.letters(k) and "n" not in text.letters(k)
+    ]  # fmt: skip
+    tables = (replace(text, content=content[start:stop]) for start, stop in pairwise([0, *starts, count]))
+    bodies = (_body(table, shape, header) for table in tables)
+    return sorted((body for body in bodies if body), key=lambda body: len(body.rows), reverse=True)
 
 
 def _body(text: _Text, shape: _Shape, header: bool | None) -> Body | None:
-    """Rows of one shape, from the first to the last, and their labels."""
+    """Rows of one shape in a table, from the first to the last, and their labels."""
     count, width, layout = len(text.content), shape.width, text.layout
     first = next((k for k in range(count) if shape.fits(text.letters(k))), None)
     if first is None:
