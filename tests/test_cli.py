@@ -106,6 +106,15 @@ def test_result_and_bode_picture_are_written_on_request(recording, tmp_path):
     assert shown.status == 0 and shown.out.strip() == phc.load(result).summary().strip()
 
 
+@pytest.mark.parametrize("option", ["--model", "--result"])
+@pytest.mark.parametrize("suffix, writer", [("mat", "convert"), ("csv", "convert"), ("cir", "netlist")])
+def test_json_is_not_written_under_the_suffix_of_another_format(recording, option, suffix, writer, tmp_path):
+    target = tmp_path / f"m.{suffix}"
+    done = run("fit", recording, "--order", 2, option, target)
+    assert done.status == 2 and not done.out and not target.exists()
+    assert "end its name in .json" in done.error and f"`ph-control {writer} m.json m.{suffix}`" in done.error
+
+
 @pytest.mark.parametrize("structure", ["lossless", "classical", "free"])
 def test_info_as_json_tells_whether_a_fit_is_lossless(damped, structure, tmp_path):
     result = tmp_path / "result.json"

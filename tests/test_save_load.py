@@ -400,10 +400,12 @@ def test_what_is_no_regular_file_is_never_replaced(path, model, overwrite, linke
     assert sorted(os.listdir(path.parent)) == before
 
 
-@pytest.mark.parametrize("suffix", [".mat", ".csv", ".TXT"])
-def test_a_name_that_promises_another_format_is_refused(tmp_path, model, suffix):
+@pytest.mark.parametrize(
+    "suffix, command", [(".mat", "convert"), (".csv", "convert"), (".TXT", "convert"), (".cir", "netlist")]
+)
+def test_a_name_that_promises_another_format_is_refused(tmp_path, model, suffix, command):
     with pytest.raises(
-        StructureError, match=r"would hold JSON, which .* end its name in \.json, and .*`ph-control convert model"
+        StructureError, match=rf"would hold JSON, which .* end its name in \.json, and .*`ph-control {command} model"
     ):
         save(model, tmp_path / f"model{suffix}")
     assert not os.listdir(tmp_path)

@@ -21,7 +21,6 @@ from .outcome import NoError, complain
 from .outputs import check_files
 
 _MATRICES = ("A", "B", "C", "D")
-_NETLISTS = (".cir", ".net", ".sp")
 
 
 class Source(io.BytesIO):
@@ -200,7 +199,7 @@ def labels_of(models: Sequence[Model], options: Namespace) -> list[str]:
 
 def read_model(name: str) -> Model:
     """Model of a file of any kind; its kind is told by its content."""
-    from ..io.codecs import restore
+    from ..io.codecs import NETLISTS, restore
     from ..io.matlab import Elements, is_matlab, read_matlab
 
     source = opened(name)
@@ -208,7 +207,7 @@ def read_model(name: str) -> Model:
     if not content.strip():
         raise FileFormatError(f"{source.name} is empty; a model is JSON, a .mat file or a text with coefficients")
     label = Path(source.name).stem or source.name
-    if Path(source.name).suffix.lower() in _NETLISTS:
+    if Path(source.name).suffix.lower() in NETLISTS:
         return Model(source.name, label, phc.read_netlist(source, name=system_name_of(label)))
     fields: Any = None
     if is_matlab(content, source.name):

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
 import numpy as np
@@ -166,7 +167,9 @@ _CODECS: dict[str, Codec | str] = {
 }
 _KINDS = {"LosslessResult": "PEMResult"}  # classes under another name in documents
 
-_NO_DOCUMENTS = (".mat", ".csv", ".txt")  # suffixes of what other programs expect something else in
+NETLISTS = (".cir", ".net", ".sp")
+# the command that writes files of suffixes in which other programs expect something else
+_WRITERS = dict.fromkeys((".mat", ".csv", ".txt"), "convert") | dict.fromkeys(NETLISTS, "netlist")
 
 
 def _codec(kind: str) -> Codec | None:
@@ -194,7 +197,7 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
         If the folder does not exist.
     StructureError
         If the object is of another kind, or holds what `load` would refuse, or the path cannot be the name of a file
-        or is that of a MATLAB or text file, `.mat`, `.csv` or `.txt`, which this would not be.
+        or is that of a MATLAB or text file or a netlist, such as `.mat`, `.csv` or `.cir`, which this would not be.
     PermissionError
         If the folder cannot be written.
 
@@ -212,13 +215,19 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
     ...     phc.load(path)
     modes([1.0, 3.0], [0.5, 0.25])
     """
+    write_atomically(document_path(path), document_of(obj), overwrite=overwrite)
+
+
+def document_path(path: str | os.PathLike[str]) -> Path:
+    """Path of a document that is to be written; suffixes of other formats are refused."""
     target = as_path(path)
-    if target.suffix.lower() in _NO_DOCUMENTS:
+    writer = _WRITERS.get(target.suffix.lower())
+    if writer is not None:
         raise StructureError(
             f"{target} would hold JSON, which a {target.suffix} file does not; end its name in .json, and write other "
-            f"formats by `ph-control convert {target.stem}.json {target.name}`"
+            f"formats by `ph-control {writer} {target.stem}.json {target.name}`"
         )
-    write_atomically(target, document_of(obj), overwrite=overwrite)
+    return target
 
 
 def document_of(obj: Any) -> str:

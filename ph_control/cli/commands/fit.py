@@ -181,9 +181,12 @@ def quantities(text: str) -> str | list[str]:
 def run(options: Namespace) -> int:
     """Fit, print, write."""
     from ...identification.diagnosis.verdict import Outcome
+    from ...io.codecs import document_path
 
     outputs = [options.model, options.result, options.report, options.plot, options.bode]
     check_files(options, [*options.recordings, options.guess], outputs)
+    for name in filter(None, (options.model, options.result)):
+        document_path(name)
     for name in filter(None, (options.plot, options.bode)):
         picture_format(name)
     place = check_place(options.experiment, len(options.recordings))
