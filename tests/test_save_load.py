@@ -426,9 +426,9 @@ def test_name_that_cannot_be_one_of_a_file_is_refused_in_writing_and_reading(tmp
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize("path", [None, 3, b"model.json"])
+@pytest.mark.parametrize("path", [None, 3, b"model.json", ""])
 def test_path_that_is_no_path_is_refused_in_writing_and_reading(model, path):
-    for use in (lambda path: save(model, path), load, phc.read_csv):
+    for use in (lambda path: save(model, path), load, phc.read_csv, phc.read_netlist):
         with pytest.raises(StructureError, match=r"^path is .*; it must be the name of a file, as a string or"):
             use(path)
 

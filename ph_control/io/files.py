@@ -31,6 +31,8 @@ def as_path(name: Any) -> Path:
     """Path of what the caller gave as the name of a file; what no file can be called is refused."""
     try:
         path = Path(name)
+        if not name:
+            raise TypeError  # it would be the working folder
     except TypeError:
         raise StructureError(
             f"path is {_checks.shown(name)}; it must be the name of a file, as a string or pathlib.Path"
