@@ -561,14 +561,15 @@ def signal_names(names: Mapping[str, Any], **sizes: int) -> None:
         _text("name", names["name"])
     for kind, size in sizes.items():
         given = next((names[key] for key in (kind, kind[:-1]) if names.get(key) is not None), size)
-        count = given
-        if not is_whole(given):
-            listed = given if isinstance(given, list | tuple) else [given]
-            for name in listed:
-                _text(f"one of the {kind}", name)
-            count = len(set(listed))
+        listed: Sequence[Any] = () if is_whole(given) else given if isinstance(given, list | tuple) else [given]
+        for name in listed:
+            _text(f"one of the {kind}", name)
+        count = given if is_whole(given) else len(listed)
         if count != size:
             raise StructureError(f"{shown(count)} names given for {size} {kind}; give one name for each, all different")
+        if len(set(listed)) < len(listed):
+            twice = next(name for k, name in enumerate(listed) if name in listed[:k])
+            raise StructureError(f"two of the {kind} are called {shown(twice)}; give each a name of its own")
 
 
 def _text(what: str, name: Any) -> None:

@@ -137,7 +137,7 @@ def test_weights_that_leave_the_range_of_doubles_are_refused_when_they_are_neede
         ({"input": ["a", "b"]}, "2 names given for 1 inputs; give one name for each, all different"),
         ({"outputs": 3}, "3 names given for 1 outputs; give one name for each, all different"),
         ({"states": ["q"]}, "1 names given for 2 states; give one name for each, all different"),
-        ({"states": ["q", "q"]}, "1 names given for 2 states; give one name for each, all different"),
+        ({"states": ["q", "q"]}, "two of the states are called 'q'; give each a name of its own"),
     ],
 )
 @pytest.mark.parametrize("source", [(I, [0.0, 1.0]), (phc.modes(1.0, 1.0),), (ct.tf([1, 0], [1, 0, 1]),)])
