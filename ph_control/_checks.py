@@ -43,6 +43,12 @@ def shown(value: Any) -> str:
     return text if len(text) < 40 and "\n" not in text else type(value).__name__
 
 
+def type_of(value: Any) -> str:
+    """Type of what is no system; of the result of a fit with the place of its system."""
+    kind = type(value)
+    return kind.__name__ + ", whose model is its attribute `system`" * hasattr(kind, "system")
+
+
 def labels(value: Any, count: int, what: str) -> list[str]:
     """Texts of a label, or of several: one for each of so many things."""
     try:

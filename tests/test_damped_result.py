@@ -210,6 +210,16 @@ def test_it_is_compared_and_drawn_as_other_models_are(single):
     plt.close("all")
 
 
+@pytest.mark.parametrize(
+    "use",
+    [phc.ph, phc.modes, phc.passivity, phc.margin, phc.tf, lambda fit: phc.reduce(fit, 2), phc.step_response,
+     lambda fit: phc.couple(fit, fit), lambda fit: phc.damping_injection(fit, 1.0)],
+)  # fmt: skip
+def test_what_takes_systems_tells_where_that_of_a_fit_is(single, use):
+    with pytest.raises(phc.StructureError, match="PEMResult, whose model is its attribute `system`"):
+        use(single)
+
+
 # --- files and text --------------------------------------------------------------------------------------------------
 
 

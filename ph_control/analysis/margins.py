@@ -168,7 +168,8 @@ def _quietly(ask: Callable[..., Any], *loop: Any, **options: Any) -> Any:
     except StructureError:
         raise
     except (ValueError, TypeError, ArithmeticError, LookupError) as error:
-        raise StructureError(f"python-control has no margins of this loop: {error}") from None
+        given = ", ".join(map(_checks.type_of, loop))
+        raise StructureError(f"python-control has no margins of this loop ({given}): {error}") from None
 
 
 def _refuse_infinite(part: Any) -> None:

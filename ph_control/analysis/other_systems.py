@@ -40,7 +40,7 @@ def as_system(sys: Any) -> Any:
         except _REFUSED as error:
             raise StructureError(f"the transfer function has no state space ({error}); give a proper one") from None
     raise StructureError(
-        f"this is a {type(sys).__name__}; give a system of this package, or a StateSpace or TransferFunction"
+        f"this is a {_checks.type_of(sys)}; give a system of this package, or a StateSpace or TransferFunction"
     )
 
 

@@ -236,7 +236,7 @@ def _state_space(sys: Any) -> ct.StateSpace:
             "axis=(0, 1)) is at most 1, an impedance if the eigenvalues of its Hermitian part are not negative"
         )
     if not isinstance(sys, ct.StateSpace):
-        raise StructureError(f"this is a {type(sys).__name__}; pass a StateSpace or a TransferFunction")
+        raise StructureError(f"this is a {_checks.type_of(sys)}; pass a StateSpace or a TransferFunction")
     if sys.isdtime(strict=True):
         raise StructureError(f"the system is in discrete time, dt = {sys.dt}; passivity is tested in continuous time")
     if sys.ninputs != sys.noutputs or not sys.ninputs:

@@ -71,7 +71,7 @@ def damping_injection(
 def plant(sys: object) -> None:
     """Refuse what is no port-Hamiltonian system."""
     if not isinstance(sys, PortHamiltonian):
-        raise StructureError(f"the plant is a {type(sys).__name__}; pass a PortHamiltonian system, made by ph")
+        raise StructureError(f"the plant is a {_checks.type_of(sys)}; pass a PortHamiltonian system, made by ph")
 
 
 def port_numbers(sys: PortHamiltonian, ports: Any, *, repeated: bool = False) -> list[int]:

@@ -55,7 +55,7 @@ def lossless_modes_with_errors(
         )
     if not isinstance(sys, ct.StateSpace | ct.TransferFunction | scipy.signal.lti):
         raise StructureError(
-            f"no port-Hamiltonian form of an object of type {type(sys).__name__}; pass a StateSpace, a "
+            f"no port-Hamiltonian form of an object of type {_checks.type_of(sys)}; pass a StateSpace, a "
             "TransferFunction, a zero-pole-gain system, a ModalForm, or the matrices Q and B"
         )
     rule = sampling_rule(sys, method, intersample) if _is_sampled(sys) else None

@@ -551,7 +551,7 @@ def _without(labels: list[_Label], place: int) -> list[_Label]:
 
 def _member(system: object) -> PortHamiltonian:
     if not isinstance(system, PortHamiltonian):
-        raise StructureError(f"this is a {type(system).__name__}; pass PortHamiltonian systems, made by ph")
+        raise StructureError(f"this is a {_checks.type_of(system)}; pass PortHamiltonian systems, made by ph")
     return system
 
 
