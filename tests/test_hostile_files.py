@@ -101,9 +101,16 @@ SECOND = (
     "[Version] 2.0\n# MHz S RI R 50\n[Number of Ports] 1\n[Number of Frequencies] {}\n[Network Data]\n1 0 0\n2 .5 0\n"
 )
 
+DECIBELS = "# {}\n1 -20 0\n2 -40 0\n"  # impedances of 0.1 and 0.01 of the reference, if they are in decibels
+
 NETWORKS = {
     "UTF-16": ("a.s1p", S.encode("utf-16"), [50.0, 150.0]),
     "old line ends": ("a.s1p", S.replace("\n", "\r"), [50.0, 150.0]),
+    "options in another order": ("a.s1p", S.replace("MHz S RI R 50", "R 25 RI S MHz ! c"), [25.0, 75.0]),
+    "options left out": ("a.z1p", DECIBELS.format("Z DB"), [5.0, 0.5]),
+    "all but one left out": ("a.s1p", DECIBELS.format("DB"), [50 * 1.1 / 0.9, 50 * 1.01 / 0.99]),
+    "an option twice": ("a.s1p", DECIBELS.format("MHz MHz DB"), "a.s1p is not a Touchstone file, or damaged.*mhz"),
+    "an option that is none": ("a.s1p", DECIBELS.format("foo"), "a.s1p is not a Touchstone file, or damaged.*foo"),
     "version 2": ("a.ts", SECOND.format(2) + "[End]\n", [50.0, 150.0]),
     "version 2 that is cut": ("a.ts", SECOND.format(9), "a.ts has 2 frequencies, and says 9; copy"),
     "no reference": ("a.s1p", S.replace("R 50", "R 0"), "a.s1p has a reference impedance of 0 ohm"),
@@ -125,6 +132,11 @@ def test_networks_are_read_right_or_refused(case):
             read(phc.read_touchstone, content, name, {})
     else:
         assert np.allclose(read(phc.read_touchstone, content, name, {}), expected, rtol=1e-12)
+
+
+def test_the_frequency_of_a_network_without_a_unit_is_in_gigahertz():
+    data = phc.read_touchstone(stream(DECIBELS.format("S DB"), "a.s1p"))
+    assert np.allclose(data.omega, 2e9 * np.pi * np.array([1, 2]), rtol=1e-15)
 
 
 # --- MATLAB ----------------------------------------------------------------------------------------------------------

@@ -20,6 +20,8 @@ from .tables.text_table import text_lines
 
 # signals that drive the ports, and what answers
 _SIGNALS = {"Z": ("i", "v"), "Y": ("v", "i"), "S": ("a", "b")}
+# words of the line that begins with #, in the order in which scikit-rf takes them; the first of each is the default
+_OPTIONS = ("ghz", "hz", "khz", "mhz"), ("s", "y", "z", "g", "h"), ("ma", "db", "ri")
 _SINGULAR = 1e-12  # of I - S or I + S: no digits of the immittance would be left
 
 
@@ -96,6 +98,17 @@ def is_touchstone(name: str) -> bool:
     return re.fullmatch(r"\.(ts|[sghyz][0-9]+p)", suffix) is not None
 
 
+def _complete_options(line: re.Match[str]) -> str:
+    """Option line with each of its words in its place: in files they stand in any order, and may be left out."""
+    words, chosen = line[1].lower().split(), []
+    for kind in _OPTIONS:
+        chosen.append(next((word for word in words if word in kind), kind[0]))
+        if chosen[-1] in words:
+            words.remove(chosen[-1])
+    # the reference is left; other words are left to be refused
+    return " ".join(["#", *chosen, *words]) if words[:1] in ([], ["r"]) else line[0]
+
+
 def _network(text: str, name: str) -> Any:
     """Network of scikit-rf."""
     try:
@@ -104,7 +117,7 @@ def _network(text: str, name: str) -> Any:
         raise MissingPackageError(
             "Touchstone files are read by scikit-rf, which is not installed: pip install 'ph_control[formats]'"
         ) from None
-    stream: Any = io.StringIO(text)
+    stream: Any = io.StringIO(re.sub(r"^[ \t]*#([^!\n]*)", _complete_options, text, count=1, flags=re.MULTILINE))
     stream.name = os.path.basename(name)
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
