@@ -91,6 +91,7 @@ def test_units_of_frequency_stand_in_the_label_in_all_the_usual_ways(unit, facto
         ("w,omega,re,im\n1,1,3,4\n", "may both be the frequency; choose with frequency="),
         ("w,re,im\n,2,3\n", "line 2, column 0.*the frequency is missing"),
         ("w,re,im\n1,2,x\n", "'x' is not a number"),
+        ("w,re,im\n-2,1,1\n-1,1,1\n1,1,-1\n", "has negative frequencies, the lowest -2 rad/s; leave them out"),
         ("f [GHz],re,im\n1,2,3\n1e300,2,3\n", r"line 3, column 0 .*1e\+300 is beyond the range of doubles in rad/s"),
         ("", "is empty"),
     ],

@@ -15,7 +15,7 @@ from .. import _checks
 from .._options import MAGNITUDE_UNITS, PHASE_UNITS, DecimalMark, FrequencyUnit, MagnitudeUnit, PhaseUnit
 from .._types import Array, ComplexArray, NDArray
 from .._units import with_unit
-from ..exceptions import StructureError, printable
+from ..exceptions import FileFormatError, StructureError, printable
 from .files import read_bytes, source_name
 from .tables.columns import Table, is_time_label, name_and_unit
 from .tables.text_table import TextOptions, read_table
@@ -181,6 +181,11 @@ def response_matrix(
 ) -> FrequencyResponseData:
     """Data of python-control, ascending in frequency: response (p, m, K), labels, and the file it comes from."""
     order, names = np.argsort(omega, kind="stable"), {}
+    if len(omega) and omega.min() < 0:
+        raise FileFormatError(
+            f"{path} has negative frequencies, the lowest {omega.min():.6g} rad/s; leave them out, since the response "
+            "there is the conjugate of that at the positive ones"
+        )
     for role, labels in (("inputs", inputs), ("outputs", outputs)):
         if labels is not None:
             names[role] = _checks.without_dots([printable(label, one_line=True) for label in labels])

@@ -154,7 +154,8 @@ def read_frequency_mat(
     Raises
     ------
     FileFormatError
-        If the file is damaged or no `.mat` file of version 5 to 7.3, or if a variable is not an array of numbers.
+        If the file is damaged or no `.mat` file of version 5 to 7.3, if a variable is not an array of numbers, or a
+        frequency is negative.
     StructureError
         If a variable is not in the file, or the lengths do not fit.
     MissingPackageError
