@@ -13,6 +13,7 @@ from ...exceptions import FileFormatError, MissingPackageError, PHControlError
 from .columns import ArrayTable
 
 _PACKAGES = {"TDMS": "nptdms", "Parquet": "pyarrow"}
+_UNKNOWN = 0xFFFFFFFF  # bytes that a WAV file announces which was written to a pipe: so many as there are
 
 
 def read_array_table(content: bytes, name: str, suffix: str) -> ArrayTable:
@@ -87,7 +88,7 @@ def _check_length(content: bytes, name: str) -> None:
             # of files beyond 4 GB the first chunk has the sizes
             announced = int.from_bytes(content[28:36], order) if content.startswith(b"RF64") else size
             held = len(content) - place - 8
-            if held < announced:
+            if held < announced < _UNKNOWN:
                 raise FileFormatError(
                     f"{name} was cut short: it announces {announced} bytes of samples, and {held} are there; "
                     "copy it again"
