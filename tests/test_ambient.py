@@ -286,5 +286,5 @@ def test_results_of_ambient_excitation_have_what_others_have(fit, record, tmp_pa
     table = phc.fit_many([(None, record), (None, ambient(7, 1500))], dt=STEP)
     assert len(table.table) == 6 and not len(table.failures)
     assert fit.residuals.shape == record.shape and fit.whiteness > 1e-3
-    with pytest.raises(phc.StructureError, match="ambient excitation"):
+    with pytest.raises(phc.StructureError, match="forces that nobody measured"):
         fit.bootstrap(10)

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import solve_discrete_lyapunov, solve_triangular
 from scipy.special import chdtrc
 
 from ..._display import counted, p_value
@@ -36,6 +36,7 @@ from .result import OrderRow
 
 _FEW_MODES = 4  # that are tried for a motion that may be no decay
 _DECAYED = 4.0  # times the squares of the last quarter of a record in its first
+_FADED = 30.0  # times these: no motion that forces keep up, unless they make what is there at the end
 _STILL = 3.0  # standard errors, or one over the record, that a decay rate of a tone may have
 _TONES = 12  # at most
 
@@ -73,16 +74,20 @@ def of_outputs_alone(
     result = of_modes() if complete else of_modes(_FEW_MODES)
     if result.whiteness >= WHITE or not result.success:
         return result
-    forced = _of_forces(channels, request, options, order, result)
+    forced = _of_forces(channels, request, options, order, result, faded > _FADED)
     if forced is not None:
         return forced
     return result if complete else of_modes()
 
 
 def _of_forces(
-    channels: list[Recording], request: Request, options: Options, order: int | str, decaying: PEMResult | None
-) -> PEMResult | None:
-    """The motion that forces keep up; None if there is none, or if that of a result which decays is likelier."""
+    channels: list[Recording], request: Request, options: Options, order: int | str, decaying: PEMResult | None,
+    faded: bool = False,
+) -> PEMResult | None:  # fmt: skip
+    """The motion that forces keep up; None if there is none, or if that of a result which decays is likelier.
+
+    Nor where outputs have `faded`, unless forces make what is there at the end.
+    """
     count, real_poles = (value if isinstance(value, int) else None for value in (order, options.real_poles))
     search: _Search = partial(
         ambient_fit, order=count, real_poles=real_poles, max_order=options.max_order,
@@ -94,7 +99,8 @@ def _of_forces(
         if decaying is None:
             raise IdentificationError(_nothing_fits(channels, count, real_poles))
         return None
-    if decaying is not None and _bic_of(decaying) <= fit.criteria.bic and not fit.minimum.interrupted:
+    likelier = decaying is None or _bic_of(decaying) > fit.criteria.bic or fit.minimum.interrupted
+    if not likelier or (faded and not _keep_up_the_end(fit, channels)):
         return None
     gain = 0.0 if decaying is None else fit.criteria.loglik - decaying.loglik
     findings = list[Finding]()
@@ -135,6 +141,20 @@ def _faded(channels: Sequence[Recording]) -> float:
         first += float(np.sum(np.sum(y[:, :part] ** 2, axis=1) / size))
         last += float(np.sum(np.sum(y[:, -part:] ** 2, axis=1) / size))
     return first / max(last, float(np.finfo(float).tiny))
+
+
+def _keep_up_the_end(fit: AmbientFit, channels: Sequence[Recording]) -> bool:
+    """Whether forces and noise, steady by themselves, have half of the squares of the last quarter of records."""
+    shares = list[float]()
+    for outputs, members, evaluation in fit.evaluation.by_set_up:
+        noise, S = evaluation.point.noise, evaluation.covariance
+        P = solve_discrete_lyapunov(noise.A, noise.K @ S @ noise.K.T)
+        steady = np.diag(noise.C @ P @ noise.C.T + S) * fit.scales[outputs] ** 2
+        for place in members.tolist():
+            y = channels[place].y[outputs] - fit.means[place, outputs][:, None]
+            end = np.mean(y[:, -max(1, y.shape[1] // 4) :] ** 2, axis=1)
+            shares += (steady / np.maximum(end, np.finfo(float).tiny)).tolist()
+    return bool(np.mean(shares) > 0.5)
 
 
 # --- shapes ----------------------------------------------------------------------------------------------------------
