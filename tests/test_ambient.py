@@ -208,6 +208,15 @@ def test_white_noise_has_no_modes():
         assert result.states == 0 and result.outcome.name == "NOTHING" and "0 modes" in result.summary()
 
 
+def test_a_fit_of_a_single_sensor_comes_back_from_a_file(tmp_path):
+    noise = np.random.default_rng(0).standard_normal(800)
+    result = phc.pem((None, lfilter([1], [1, -1.8, 0.9], noise)), 1, dt=1.0)
+    assert result.is_ambient and not result.experiments[0].initial_state.size
+    phc.save(result, tmp_path / "sensor.json")
+    again = phc.load(tmp_path / "sensor.json")
+    assert np.array_equal(again.poles, result.poles) and again.summary() == result.summary()
+
+
 @pytest.mark.slow
 def test_a_wind_that_is_not_white_is_a_real_pole():
     y = lfilter([1], [1, -0.95], np.random.default_rng(2).standard_normal(3000))

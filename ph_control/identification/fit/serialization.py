@@ -219,7 +219,9 @@ def _experiment(fields: Fields, n: int, states: int, record: Any) -> Any:
     in_time, single = isinstance(record, InTime), isinstance(record, Record | FrequencyRecord)
     # damped modes do not predict a response where nothing was measured
     predicted = (fields.array if in_time else fields.complex_array)("predicted", record.measured.shape, finite=False)
-    shapes: Shapes = {"initial_state": (states * in_time,), "free_amplitudes": (n * in_time,)}
+    # forces that nobody measured leave no state to begin with
+    moving = single and len(fields.array("initial_state", (None,))) > 0
+    shapes: Shapes = {"initial_state": (states * moving,), "free_amplitudes": (n * in_time,)}
     if not single:
         p = len(record.output_labels)
         shapes = {"free_amplitudes": (n, p * in_time), "offsets": (p,), "drifts": (p,)}
