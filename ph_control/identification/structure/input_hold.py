@@ -56,9 +56,11 @@ def _under_likelier_hold(first: Choice, request: Request) -> Choice:
 def _is_rather_held_as(rival: FreeFit, free: FreeFit, request: Request) -> bool:
     """Whether inputs were rather held as in a rival fit, where no structure stands.
 
-    With what is fed through they are the same model, and only shapes tell them apart: real ones are likelier, wherever
-    the sensor is, if no port was given.
+    With what is fed through they are the same model, and only shapes of modes tell them apart: real ones are likelier,
+    wherever the sensor is, if no port was given.
     """
+    if not free.order:
+        return free.criteria.bic - rival.criteria.bic > SAME
     wanted = replace(request, ports=()) if request.assumed else request
     costs = np.array([[each.criteria.bic, bic_of("classical", each, tested(each, wanted, ("classical",))[1])]
                       for each in (free, rival)])  # fmt: skip
