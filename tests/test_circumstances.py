@@ -10,6 +10,8 @@ from slow import slowly
 
 import ph_control as phc
 
+TWO_POLES = np.array([-0.01 + 0.3j, -0.02 + 1.2j])
+
 
 def recording(seed, *, n=3, samples=1200, snr=20.0, intersample="zoh"):
     """Plant, input, and output with white noise of a random lossless plant."""
@@ -28,6 +30,16 @@ def causes(result):
 def found_all(result, plant, samples):
     """Whether every mode of the plant is there, and no other."""
     return result.order == plant.n and bool(np.all(np.abs(result.d - plant.d) < 0.1 * np.pi / samples))
+
+
+def two_modes(seed):
+    """Generator, a white input of 1500 samples, and what two damped modes make of it."""
+    rng, y = np.random.default_rng(seed), np.zeros(1500)
+    u = rng.standard_normal(1500)
+    for p, residue in zip(TWO_POLES, (1.0, 0.7), strict=True):
+        z = np.exp(p)
+        y += 2 * np.real(residue * lfilter([0, (z - 1) / p], [1, -z], u + 0j))
+    return rng, u, y
 
 
 # --- constants and drifts --------------------------------------------------------------------------------------------
@@ -54,11 +66,7 @@ def test_a_drift_of_a_third_of_the_motion_is_named_in_a_short_record():
 
 @pytest.mark.parametrize("seed", [1, *slowly(4, 5)])
 def test_a_drift_beside_a_constant_is_no_pole_that_grows(seed):
-    rng, y = np.random.default_rng(seed), np.zeros(1500)
-    u = rng.standard_normal(1500)
-    for p, residue in ((-0.01 + 0.3j, 1.0), (-0.02 + 1.2j, 0.7)):
-        z = np.exp(p)
-        y += 2 * np.real(residue * lfilter([0, (z - 1) / p], [1, -z], u + 0j))
+    rng, u, y = two_modes(seed)
     y += np.std(y) * (0.1 * rng.standard_normal(1500) + 3 + 0.5 * np.linspace(0, 1, 1500))
     result = phc.pem((u, y), dt=1.0)
     assert (result.order, len(result.real_poles)) == (2, 0) and "DRIFT" in causes(result)
@@ -225,16 +233,12 @@ def test_a_delay_of_a_damped_plant_is_named_and_none_where_there_is_none(drift, 
 
 @pytest.mark.parametrize("seed", [4, *slowly(3)])
 def test_samples_that_are_missing_do_not_make_coloured_noise_modes(seed):
-    rng, y = np.random.default_rng(seed), np.zeros(1500)
-    u = rng.standard_normal(1500)
-    for p, residue in ((-0.01 + 0.3j, 1.0), (-0.02 + 1.2j, 0.7)):
-        z = np.exp(p)
-        y += 2 * np.real(residue * lfilter([0, (z - 1) / p], [1, -z], u + 0j))
+    rng, u, y = two_modes(seed)
     y += 0.1 * np.std(y) * lfilter([0.436], [1, -0.9], rng.standard_normal(1500))
     y[rng.random(1500) < 0.1] = np.nan
     result = phc.pem((u, y), dt=1.0)
     assert (result.order, len(result.real_poles)) == (2, 0) and result.noise.orders[0] > 0
-    errors = result.poles - np.array([-0.01 + 0.3j, -0.02 + 1.2j])
+    errors = result.poles - TWO_POLES
     assert np.all(np.abs(errors) < 5 * result.stderr["natural_frequencies"])
 
 

@@ -15,7 +15,7 @@ from ..regression.tuning import TUNING
 from ..search.channel_rows import Experiments, is_short
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
-from ..search.predictor_states import likeliest, predictors_of, signals_of
+from ..search.predictor_states import ranked_predictors
 from .assumptions import Anew, Search, rows_as_in
 from .dead_times import DeadTimeScan, numbers_of
 from .delays import LONGEST_DELAY, are_heavy, bic_within, leaves_traces
@@ -61,12 +61,10 @@ def of_late_inputs(channels: Experiments, search: Search) -> FreeFit | None:
 def _is_foretold_better(rows: Sequence[FreeRecord], lagging: FreeProjection) -> bool:
     """Whether a predictor from past outputs and inputs leaves less than half of the squares that late lags leave."""
     outputs = len(lagging.losses)
-    signals = signals_of(rows, outputs)
-    predictors = predictors_of(signals, outputs, _ROWS) if signals else []
-    if not predictors:
+    ranked, _ = ranked_predictors(rows, outputs, _ROWS)
+    if not ranked:
         return False
-    samples = sum(each.shape[1] for each in signals or ())
-    _, states, best = likeliest(predictors, samples, max(each.largest for each in predictors))[0]
+    _, states, best = ranked[0]
     counts = np.zeros(outputs)
     for record in lagging.experiments:
         counts[record.outputs] += record.samples

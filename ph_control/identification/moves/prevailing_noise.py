@@ -16,7 +16,7 @@ from ..search.channel_rows import Experiments
 from ..search.criteria import Orders
 from ..search.fitted_modes import FreeFit, are_broad
 from ..search.predicted_delay import predicted_delay
-from ..search.predictor_states import likeliest, predictors_of, signals_of
+from ..search.predictor_states import ranked_predictors
 from .assumptions import Search
 from .delays import errors_leave_traces, feel_at_once, leaves_traces
 from .drifts import are_slow, drift_of, may_drift, with_constants
@@ -103,12 +103,7 @@ def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) ->
     tuple of ndarray and float or None
         Poles of imaginary part 0 or more, and the smallest BIC of all predictors.
     """
-    signals = signals_of(records, outputs)
-    if signals is None:
-        return None
-    samples = sum(each.shape[1] for each in signals)
-    predictors = predictors_of(signals, outputs, _ROWS)
-    ranked = likeliest(predictors, samples, max(each.largest for each in predictors)) if predictors else []
+    ranked, samples = ranked_predictors(records, outputs, _ROWS)
     if not ranked or ranked[0][1] > orders.states:
         return None  # what modes that are missing leave says nothing of the noise
     ranked = [row for row in ranked if row[1] <= orders.states]

@@ -238,6 +238,19 @@ def likeliest(
     return sorted(ranked, key=lambda row: row[0])
 
 
+def ranked_predictors(
+    records: Sequence[FreeRecord], outputs: int, rows: int
+) -> tuple[list[tuple[float, int, PredictorStates]], int]:
+    """Predictors of all outputs as in `likeliest`, with covariances of so many rows, and the samples that they count.
+
+    None where records are too short, or have gaps.
+    """
+    signals = signals_of(records, outputs)
+    predictors = predictors_of(signals, outputs, rows) if signals else []
+    samples = sum(each.shape[1] for each in signals or ())
+    return likeliest(predictors, samples, max((each.largest for each in predictors), default=0)), samples
+
+
 def signals_of(records: Sequence[FreeRecord], outputs: int) -> list[Array] | None:
     """Outputs and inputs (p + m, T) less their means; None where samples are missing, or outputs constant."""
     inputs = max((int(rows.acting.max(initial=-1)) + 1 for rows in records), default=0)
