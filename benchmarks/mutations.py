@@ -85,7 +85,7 @@ FAULTS = (
     fault(f"{ID}/change/multiple_tests.py", "/ np.sqrt(2.0)", "/ 2.0", "change"),
     fault(f"{ID}/change/cumulative_sum.py", "0.5 * (edges[1:] + edges[:-1])", "edges[1:]", "change"),
     fault(
-        f"{ID}/data/line_errors.py",
+        f"{ID}/data/frequency_record.py",
         "0.5 * (relation - covariance)",
         "0.5 * (covariance - relation)",
         "windowed_responses",

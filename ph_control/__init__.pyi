@@ -85,7 +85,7 @@ from .identification.many.tracking import ModeTracks as ModeTracks
 from .identification.parameters.fitted_parameters import FittedParameters as FittedParameters
 from .identification.parameters.updating import ModelUpdate as ModelUpdate
 from .identification.parameters.updating import update_model as update_model
-from .identification.regression.free_prediction import FittedChannels as FittedChannels
+from .identification.regression.prediction import FittedChannels as FittedChannels
 from .identification.regression.prediction import FittedExperiment as FittedExperiment
 from .identification.regression.prediction import ResponseBackground as ResponseBackground
 from .identification.uncertainty.modal_draws import ModalSamples as ModalSamples

@@ -5,7 +5,6 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binom, chi2, f, kstest
 
-from ph_control.identification.uncertainty import residual_data as data_module
 from ph_control.identification.uncertainty import residual_tests
 from ph_control.identification.uncertainty.residual_tests import (
     ResidualData,
@@ -242,7 +241,7 @@ def test_a_long_record_worked_in_pieces_gives_the_statistics_of_one_worked_whole
     monkeypatch.setattr(residual_tests, "_PIECE", 64)
     monkeypatch.setattr(residual_tests, "_ROWS", 90)
     monkeypatch.setattr(residual_tests, "_TOGETHER", 1500)
-    monkeypatch.setattr(data_module, "_CACHED", 100)
+    monkeypatch.setattr(residual_tests, "_CACHED", 100)
     pieces = autocorrelation(data[1], 0.99), cross_correlation(data[1], 0.99), influence(data[1])
     assert pieces[0][1:] == pytest.approx(whole[0][1:], rel=1e-9)
     np.testing.assert_allclose(pieces[0][0].band, whole[0][0].band, rtol=1e-10)

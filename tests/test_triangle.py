@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import ph_control.identification.regression.triangular as module
-from ph_control.identification.regression.triangular import reduced, reflect, triangle
+import ph_control.identification.regression.elimination as module
+from ph_control.identification.regression.elimination import reduced, reflect, triangle
 
 EPS = np.finfo(float).eps
 SHORT, LONG = 300, 12_000  # rows of eight columns: reflected at once, and by way of the Gram matrix

@@ -18,7 +18,7 @@ from ..._types import Array, ComplexArray, Indices, Mask
 from ...exceptions import StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording
-from ..regression.free_prediction import predicted_outputs, unknown_samples
+from ..regression.prediction import predicted_outputs, unknown_samples
 
 _STEP = 1e-5  # of a pole over its size, and of a delay over the sampling step, in central differences
 _MOST = 300_000_000  # numbers in the derivatives

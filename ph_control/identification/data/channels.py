@@ -18,8 +18,7 @@ from ..._types import Array, ComplexArray, Indices
 from ..._units import checked_unit
 from ...analysis.spectral_window import SpectralWindow, window_of
 from ...exceptions import IdentificationError, StructureError
-from .frequency_record import FrequencyRecord, InFrequency, checked_points, checked_weights, title_of
-from .line_errors import LineErrors
+from .frequency_record import FrequencyRecord, InFrequency, LineErrors, checked_points, checked_weights, title_of
 from .time_record import (
     LONG,
     CheckedData,

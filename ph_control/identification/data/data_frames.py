@@ -17,7 +17,7 @@ from ..._units import checked_unit
 from ...exceptions import StructureError
 from ...io.tables.columns import is_time_label, unit_of_time
 from ...io.time_csv import recording as response
-from . import channels
+from ..data import channels
 from .time_record import instants, refuse_contradiction, refuse_short, signal, uniform_time
 
 _SHOWN = 30  # labels of columns listed in a message

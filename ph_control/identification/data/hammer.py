@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..._types import Array
-from .parts import is_long
-from .time_record import CheckedData, InTime
+from .time_record import CheckedData, InTime, is_long
 
 _CLEAR = 100.0  # of the noise: the peak of a hit
 _SEEN = 6.0  # of the noise: samples of a contact

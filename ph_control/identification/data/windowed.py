@@ -16,7 +16,7 @@ import numpy as np
 from ..._types import Array, ComplexArray, Indices, NDArray
 from ...analysis.spectral_window import SpectralWindow
 from ...modal.discretization import Hold
-from .line_errors import BandedFactor, among
+from .frequency_record import BandedFactor, among
 
 _BEYOND = 2  # lines beyond the reach of a window that errors share something with
 _LONGEST = 0.02  # lines: half-width of a peak; of longer modes the motion at the beginning of blocks has no bound

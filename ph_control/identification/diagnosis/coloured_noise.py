@@ -12,8 +12,8 @@ from ..._types import Array
 from ..data.channels import Recording
 from ..regression.elimination import orthogonal, without
 from ..regression.free import FreeProjection, GivenResidues, by_poles, places_of, refine_free
-from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import SampledModes
+from ..regression.prediction import FittedChannels
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from ..._types import Array, ComplexArray, Mask
 from ..data.channels import Recording
-from ..data.parts import is_long
+from ..data.time_record import is_long
 from ..regression.free import FreeProjection, refine_free
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import is_short

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm, t
 
 from ..._types import Array
-from ..data.parts import Signal, blocks
-from ..data.time_record import LONG
+from ..data.time_record import LONG, Signal, blocks
 
 _BY_CHANCE = 1e-4  # probability that noise alone shows one anywhere
 _FEWEST = 20  # residuals to spare below which nothing is said

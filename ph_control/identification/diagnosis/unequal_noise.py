@@ -9,7 +9,7 @@ import numpy as np
 
 from ..._types import Array, Indices
 from ..data.channels import Recording
-from ..data.parts import is_long
+from ..data.time_record import is_long
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.fitted_modes import FreeFit

@@ -11,7 +11,7 @@ import numpy as np
 from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask, NDArray
 from ..diagnosis.verdict import HypothesisTest
 from ..regression.free import FreeProjection, GivenResidues
-from ..regression.free_prediction import natural_jacobian
+from ..regression.prediction import natural_jacobian
 from ..search.fitted_modes import FreeFit
 from ..structure.choice import Choice, Request
 from ..structure.constrained import StructuredFit

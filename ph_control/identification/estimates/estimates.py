@@ -8,8 +8,7 @@ from typing import Any
 
 from ..._types import Array, ComplexArray
 from ..diagnosis.fitted_directions import FittedModel
-from ..regression.free_prediction import FittedChannels
-from ..regression.prediction import joint_percent, shares_left
+from ..regression.prediction import FittedChannels, joint_percent, shares_left
 from .covariance import FittedStructure, covariance_of
 from .experiments import fitted_channels, fitted_shapes, squeezed
 from .likelihood import FittedLikelihood

@@ -12,10 +12,9 @@ from ..._types import Array, ComplexArray
 from ..._units import DERIVATIVES
 from ..data.channels import Recording, single
 from ..data.frequency_record import FrequencyRecord
-from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.frequency_rows import FreeResponse
 from ..regression.modal_regressors import output_weight
-from ..regression.prediction import FittedExperiment, ResponseBackground, state_of
+from ..regression.prediction import FittedChannels, FittedExperiment, ResponseBackground, natural_jacobian, state_of
 from ..regression.time_rows import FreeRecord
 from ..structure.layout import residue_of_unit_weight, weights_of
 from .covariance import FittedStructure, roots

@@ -11,8 +11,7 @@ import numpy as np
 from ..._types import Array
 from ..data.channels import ResponseMatrix
 from ..diagnosis.changing_noise import level_of
-from ..regression.free_prediction import FittedChannels
-from ..regression.prediction import pieces
+from ..regression.prediction import FittedChannels, pieces
 from ..search.findings import Cause
 from ..search.fitted_modes import FreeFit
 from .covariance import FittedStructure

@@ -11,7 +11,7 @@ from ..._checks import EPS
 from ..._display import counted, first_of
 from ..._types import Array
 from ..._units import rate
-from ..regression.triangular import triangle
+from ..regression.elimination import triangle
 from ..uncertainty.fisher import listed
 
 _SIGNIFICANT = 1e-4  # of the largest power: 40 dB

@@ -16,7 +16,7 @@ from ..._units import common_unit, hertz_size
 from ...exceptions import StructureError
 from ...modal.modal_form import ModalForm
 from ...systems.port_hamiltonian import modes
-from ..regression.free_prediction import halved, natural_jacobian
+from ..regression.prediction import halved, natural_jacobian
 from ..regression.sections import Sections
 from ..structure.coordinates import ShapeCoordinates
 from ..structure.layout import ChannelLayout

@@ -18,11 +18,10 @@ from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ...exceptions import StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording
-from ..regression.elimination import eliminate
+from ..regression.elimination import eliminate, reduced
 from ..regression.free import by_poles
 from ..regression.modal_regressors import SampledModes
 from ..regression.time_rows import FreeRecord
-from ..regression.triangular import reduced
 from ..uncertainty.fisher import Information
 from ..uncertainty.noise_model import NoiseModel
 from .planned_plant import PlannedPlant, acting_together

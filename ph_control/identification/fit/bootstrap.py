@@ -20,9 +20,8 @@ from ..diagnosis.changing_noise import levels_of
 from ..diagnosis.hum import Tones
 from ..diagnosis.unequal_noise import experiments_of
 from ..regression.free import FreeProjection, GivenResidues, refine_free
-from ..regression.free_prediction import FittedChannels, halved
 from ..regression.frequency_rows import FreeResponse, terms_in
-from ..regression.prediction import ResponseBackground, state_of
+from ..regression.prediction import FittedChannels, ResponseBackground, halved, state_of
 from ..regression.sections import PoleRegion
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import RowOptions

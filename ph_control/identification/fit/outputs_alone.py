@@ -22,8 +22,7 @@ from ..innovations.ambient import AmbientFit, AmbientOrder, ambient_fit, shapes_
 from ..innovations.forces import FittedNoise
 from ..innovations.noise_sections import NoiseSections
 from ..judge.evidence import rejections
-from ..regression.free_prediction import FittedChannels, natural_jacobian
-from ..regression.prediction import FittedExperiment, joint_percent, shares_left
+from ..regression.prediction import FittedChannels, FittedExperiment, joint_percent, natural_jacobian, shares_left
 from ..regression.tuning import TUNING
 from ..search.findings import Cause, Finding, sentences_of
 from ..search.progress import reporter

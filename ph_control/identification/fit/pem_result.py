@@ -36,15 +36,17 @@ from ..growth.choosing import orders_about
 from ..innovations.ambient import orders_of
 from ..parameters.fitted_parameters import FittedParameters
 from ..regression.free import Lateness
-from ..regression.free_prediction import (
+from ..regression.prediction import (
     FittedChannels,
+    FittedExperiment,
+    ResponseBackground,
     estimated_motion,
     halved,
     moved_freely,
+    output_gain,
     predicted_outputs,
     unknown_samples,
 )
-from ..regression.prediction import FittedExperiment, ResponseBackground, output_gain
 from ..search.channel_rows import RowOptions
 from ..search.findings import Cause, Finding
 from ..structure.layout import residue_of_unit_weight, weights_of

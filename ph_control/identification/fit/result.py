@@ -30,8 +30,7 @@ from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..diagnosis.verdict import CUT_SHORT, Outcome
 from ..estimates.stabilisation import Orders, Stabilisation, compared
-from ..regression.free_prediction import FittedChannels
-from ..regression.prediction import FittedExperiment, chosen_experiment, joint_percent, shares_left
+from ..regression.prediction import FittedChannels, FittedExperiment, chosen_experiment, joint_percent, shares_left
 from ..uncertainty.draws import intervals
 
 PictureKind = Literal[

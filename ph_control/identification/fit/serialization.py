@@ -18,14 +18,12 @@ from ...exceptions import StructureError
 from ...io.codecs import Codec, system_from_dict
 from ...io.json_format import Fields
 from ..data.channels import Recording, ResponseMatrix
-from ..data.frequency_record import FrequencyRecord
-from ..data.line_errors import LineErrors
+from ..data.frequency_record import FrequencyRecord, LineErrors
 from ..data.time_record import InTime, Record
 from ..diagnosis.verdict import Outcome
 from ..parameters.fitted_parameters import FittedParameters
-from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import QUANTITIES
-from ..regression.prediction import FittedExperiment, ResponseBackground
+from ..regression.prediction import FittedChannels, FittedExperiment, ResponseBackground
 from ..structure.layout import residue_of_unit_weight
 from ..structure.parametric import PARAMETRIC
 from ..uncertainty.noise_model import NoiseModel

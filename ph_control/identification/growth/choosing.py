@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..._types import ComplexArray
-from ..data.parts import cut, searched_part
+from ..data.time_record import cut, searched_part
 from ..regression.free import FreeProjection
 from ..search.channel_rows import Experiments, RowOptions, is_short
 from ..search.fitted_modes import are_broad, count_modes

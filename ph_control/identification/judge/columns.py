@@ -9,7 +9,7 @@ import numpy as np
 
 from ..._types import Array
 from ..data.channels import Recording
-from ..data.parts import blocks
+from ..data.time_record import blocks
 from ..search.findings import Cause, Finding
 
 _SAME = 1e-12  # share of the power by which two columns may differ, as rounding in print makes them

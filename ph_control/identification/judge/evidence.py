@@ -15,8 +15,7 @@ from ..diagnosis.nonlinearity import not_linear
 from ..diagnosis.verdict import GOOD_FIT, POOR_FIT, WHITE, HypothesisTest, Outcome
 from ..estimates.estimates import Estimates
 from ..excitation.excitation import examine
-from ..regression.free_prediction import FittedChannels
-from ..regression.prediction import FittedExperiment
+from ..regression.prediction import FittedChannels, FittedExperiment
 from ..search.findings import HOLDS, REJECTED, Cause, Finding
 from ..search.fitted_modes import FreeFit
 from ..structure.choice import layout_of

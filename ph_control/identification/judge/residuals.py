@@ -9,17 +9,15 @@ import numpy as np
 
 from ..._types import Array, NDArray
 from ..data.channels import Recording
-from ..data.parts import Difference, Signal
-from ..data.time_record import Record
+from ..data.time_record import Difference, Record, Signal
 from ..diagnosis.changing_noise import level_of
 from ..diagnosis.fitted_directions import directions_of
 from ..diagnosis.outliers import outliers, saturation
 from ..estimates.estimates import Estimates
-from ..regression.free_prediction import FittedChannels
+from ..regression.prediction import FittedChannels
 from ..regression.tuning import TUNING
 from ..search.findings import Cause, Finding
-from ..uncertainty.residual_data import without_peaks
-from ..uncertainty.residual_tests import ljung_box
+from ..uncertainty.residual_tests import ljung_box, without_peaks
 
 _COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
 

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from ..._types import Array, ComplexArray, Indices, Mask
 from ..data.channels import Recording, ResponseMatrix
-from ..data.parts import cut
+from ..data.time_record import cut
 from ..regression.free import FreeProjection, Lateness
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING

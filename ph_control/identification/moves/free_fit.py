@@ -14,7 +14,7 @@ import numpy as np
 
 from ..._types import Array, ComplexArray
 from ..data.channels import Recording, ResponseMatrix
-from ..data.parts import is_long
+from ..data.time_record import is_long
 from ..growth.held_out import foretelling_order
 from ..regression.tuning import TUNING
 from ..search.channel_rows import Experiments

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..._types import ComplexArray
 from ..data.channels import Recording
-from ..data.parts import cut, searched_part, stages
+from ..data.time_record import cut, searched_part, stages
 from ..growth.ending import end_of_search, finished
 from ..regression.free import FreeProjection
 from ..regression.tuning import TUNING

@@ -19,7 +19,7 @@ from scipy.optimize import minimize_scalar
 from ..._types import Array, ComplexArray, Indices
 from ...analysis.spectral_window import SpectralWindow
 from ..data.channels import ResponseMatrix
-from ..data.line_errors import BandedFactor, LineErrors
+from ..data.frequency_record import BandedFactor, LineErrors
 from ..data.windowed import WindowErrors, error_bands
 from ..regression.free import by_poles
 from ..regression.frequency_rows import FreeResponse

@@ -16,8 +16,8 @@ import numpy as np
 
 from ..._types import Array
 from ..regression.free import FreeRows
-from ..regression.free_prediction import halved
 from ..regression.frequency_rows import FreeResponse
+from ..regression.prediction import halved
 from ..regression.time_rows import FreeRecord
 from .physical_modes import PhysicalModes
 

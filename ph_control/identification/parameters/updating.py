@@ -26,8 +26,7 @@ from ...numerics.modal_assurance import mac
 from ..uncertainty.draws import normal_interval
 from .fitted_parameters import FittedParameters, ParameterInformation, named_combination
 from .model_function import ModelFunction
-from .pairing import followed, paired
-from .physical_modes import PhysicalModes
+from .physical_modes import PhysicalModes, followed, paired
 
 ModalQuantity = Literal["natural_frequencies", "damping_ratios", "residues", "shapes"]
 _RANK = 1e-9  # of the largest eigenvalue of the correlations: a direction that the fit has fixed

@@ -22,12 +22,11 @@ from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..data.time_record import LONG
 from ..data.windowed import crossed_scores, share_errors
-from .elimination import LinearProjection, eliminate, inverse_gram, null_space, orthogonal, without
+from .elimination import LinearProjection, eliminate, inverse_gram, null_space, orthogonal, reduced, without
 from .frequency_rows import FreeResponse
 from .sections import PoleRegion, Sections
 from .spectral_rows import FreeWindow
 from .time_rows import FreeRecord
-from .triangular import reduced
 from .tuning import TUNING
 from .variable_projection import Progress, refine
 

@@ -13,7 +13,7 @@ from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, Mask
 from ..._units import DERIVATIVES, feels_force
 from ...analysis.spectral_window import SpectralWindow
-from ..data.line_errors import BandedFactor
+from ..data.frequency_record import BandedFactor
 from ..data.windowed import Peaks, SharedErrors, windowed_peaks
 from .spectral_rows import real_rows, stacked, thinned_places
 from .time_rows import Evaluation

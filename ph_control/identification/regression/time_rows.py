@@ -20,8 +20,8 @@ from scipy.signal import lfilter
 from ..._options import Interpolation
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ...modal.discretization import Hold
+from .elimination import triangle
 from .modal_regressors import SHORT, GroupStates, Kernel, ModalColumns, SampledModes, in_groups
-from .triangular import triangle
 
 _BLOCK = 1 << 19  # numbers in a block of columns: a few megabytes, whatever the length of the record
 _FEWEST = 32  # groups of samples in a block

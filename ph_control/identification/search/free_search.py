@@ -18,13 +18,12 @@ from ..._checks import EPS
 from ..._options import Interpolation
 from ..._types import Array, ComplexArray, Indices
 from ...modal.discretization import Hold
-from ..regression.elimination import orthogonal, tolerance, without
+from ..regression.elimination import orthogonal, reduced, tolerance, without
 from ..regression.free import FreeProjection, FreeRows
 from ..regression.frequency_rows import FreeResponse, Term
 from ..regression.sections import PoleRegion
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow, real_rows
 from ..regression.time_rows import FreeRecord
-from ..regression.triangular import reduced
 from ..regression.tuning import TUNING
 from .whitening import autoregression, correlations
 

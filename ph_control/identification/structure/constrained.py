@@ -21,10 +21,9 @@ from ..._options import HYPOTHESES
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..data.windowed import crossed_scores, share_errors
 from ..parameters.fitted_parameters import FittedParameters, ParametricPoint
-from ..regression.elimination import LinearProjection, tolerance
+from ..regression.elimination import LinearProjection, reduced, tolerance
 from ..regression.free import Delays, FreeProjection, GivenResidues, Sensitivity
 from ..regression.sections import PoleRegion
-from ..regression.triangular import reduced
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Refinement, continue_refinement, refine
 from .coordinates import MatrixCoordinates, ShapeCoordinates, StructureCoordinates

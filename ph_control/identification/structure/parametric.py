@@ -23,12 +23,11 @@ from ..data.windowed import crossed_scores, share_errors
 from ..diagnosis.verdict import HypothesisTest
 from ..parameters.fitted_parameters import FittedParameters, ParameterInformation, ParametricPoint, named_combination
 from ..parameters.model_function import ModelFunction
-from ..parameters.pairing import followed, paired
-from ..parameters.physical_modes import PhysicalModes
+from ..parameters.physical_modes import PhysicalModes, followed, paired
 from ..parameters.rows import RowsRemainder, energies, of_modes, remainders_of
 from ..regression.free import FreeProjection, GivenResidues, refine_free
-from ..regression.free_prediction import halved
 from ..regression.frequency_rows import FreeResponse
+from ..regression.prediction import halved
 from ..regression.time_rows import FreeRecord
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit

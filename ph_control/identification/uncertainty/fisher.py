@@ -21,11 +21,10 @@ from ..._types import Array, ComplexArray, Mask
 from ..._units import DERIVATIVES
 from ...modal.discretization import Hold
 from ...modal.modal_form import imaginary
-from ..regression.elimination import eliminate
+from ..regression.elimination import eliminate, reduced
 from ..regression.free import by_poles
 from ..regression.modal_regressors import SHORT, Kernel, SampledModes, output_weight
 from ..regression.time_rows import FreeRecord
-from ..regression.triangular import reduced
 
 NEARLY_BLIND = 0.01  # singular value below which a combination counts: its errors are inflated a hundred times
 _ROUNDED = 0.01  # relative difference of weights that are sorted as equal

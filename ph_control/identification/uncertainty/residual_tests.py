@@ -9,22 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.fft import next_fast_len, rfft
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.stats import chi2, f, norm
 
 from ..._checks import EPS
 from ..._types import Array, Indices, Mask
-from ..data.parts import Signal, blocks
-from ..regression.elimination import eliminate
+from ..data.time_record import Signal, blocks
+from ..regression.elimination import eliminate, reduced, triangle
 from ..regression.free import FreeProjection
 from ..regression.frequency_rows import FreeResponse
 from ..regression.time_rows import FreeRecord, size_of
-from ..regression.triangular import reduced, triangle
 from ..regression.tuning import TUNING
-from .residual_data import RANK, ResidualData, factor_of, noise_scales, orthonormal_of_unit, scales_of_noise
 
 _NOISE_ORDERS = 20  # most that are tried for the noise
 _ROWS_PER_ORDER = 10
@@ -33,6 +32,12 @@ _SAMPLES_PER_LAG = 5
 _PIECE = 512  # samples of a few columns that fit in the cache
 _ROWS = 1 << 13  # of a regression that are made at a time
 _TOGETHER = 1 << 22  # numbers in shifted inputs that are transformed at a time
+
+_RANK = 1e-8  # relative size of directions that a regression counts
+
+_REACH = 6.0  # times the median size, 4 standard deviations of normal noise
+_QUIETEST = 1e-6  # noise of a record beside that of the loudest
+_CACHED = 1 << 17  # numbers that fit in the cache
 
 
 @dataclass(frozen=True)
@@ -202,7 +207,7 @@ def _of_noise_alone(residuals: Sequence[Signal], lags: int) -> float:
     most = min(lags, total // _SAMPLES_PER_LAG, max(map(len, residuals), default=0) - 1)
     if most < 1 or unit == 0:
         return 1.0
-    scales = scales_of_noise(powers, counts)
+    scales = _scales_of_noise(powers, counts)
     pairs, products, power = np.zeros(most), np.zeros(most), 0.0
     for residual, scale in zip(residuals, scales, strict=True):
         past = np.full(most, np.nan)
@@ -322,7 +327,7 @@ def _eliminated(data: ResidualData, whitening: Array) -> tuple[Array, int, list[
     scale = 1.0 / np.where(lengths > 0, lengths, 1.0)
     remainders, free = [], sum(samples for _, samples in factors)
     for (factor, _), columns in zip(factors, data.own, strict=True):
-        part = eliminate(factor, columns.shape[1], len(columns), RANK)
+        part = eliminate(factor, columns.shape[1], len(columns), _RANK)
         remainders.append(part.below * scale)
         free -= len(part.above)
     rows = np.concatenate(remainders)
@@ -371,7 +376,7 @@ def _whitening(data: ResidualData) -> Array:
     if not most:
         return np.ones(1)
     rows = np.concatenate(places)
-    factor = factor_of(data.e[rows - np.concatenate([np.arange(1, most + 1), [0]])[:, None]])
+    factor = _factor_of(data.e[rows - np.concatenate([np.arange(1, most + 1), [0]])[:, None]])
     R, explained = factor[:-1, :-1], factor[:-1, -1]
     total = float(np.sum(factor[:, -1] ** 2))
     losses = np.maximum(total - np.cumsum(np.concatenate([[0.0], explained**2])), EPS * total)
@@ -382,7 +387,7 @@ def _whitening(data: ResidualData) -> Array:
 
 def _successive_tests(rhs: Array, fitted: Array, steps: list[Array], free: int) -> list[float]:
     """p-values of the F tests that each set of columns in turn explains nothing more."""
-    basis = orthonormal_of_unit(fitted)
+    basis = _orthonormal_of_unit(fitted)
     rhs = rhs - basis @ (basis.T @ rhs)
     free -= basis.shape[1]
     p_values = []
@@ -390,7 +395,7 @@ def _successive_tests(rhs: Array, fitted: Array, steps: list[Array], free: int) 
         beside = columns
         for _ in range(2):  # once more for what rounding leaves
             beside = beside - basis @ (basis.T @ beside)
-        added = orthonormal_of_unit(beside)
+        added = _orthonormal_of_unit(beside)
         gained = added.T @ rhs
         rhs = rhs - added @ gained
         basis = np.concatenate([basis, added], axis=1)
@@ -403,3 +408,203 @@ def _successive_tests(rhs: Array, fitted: Array, steps: list[Array], free: int) 
                 float(f.sf(float(gained @ gained) / added.shape[1] / (remainder / free), added.shape[1], free))
             )
     return p_values
+
+
+@dataclass(frozen=True)
+class ResidualData:
+    """Residuals (T,), NaN where missing, the input, and the directions that were fitted (T, k).
+
+    With several records, one after the other, `lengths` are their samples, and `local` the directions (T_k, p_k) that
+    were fitted to each of them alone.  `level` is what a constant looks like, where the residuals are in a scale of
+    their own.  `past` is the number of coefficients of their own past that were fitted.
+    """
+
+    residuals: Array
+    u: Array
+    directions: Array
+    lags: int
+    lengths: tuple[int, ...] = ()
+    local: tuple[Array, ...] = ()
+    level: Array | None = None
+    past: int = 0
+
+    @cached_property
+    def parts(self) -> list[slice]:
+        """Where each record lies."""
+        ends = np.cumsum(self.lengths or (len(self.residuals),)).tolist()
+        return [slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True)]
+
+    @cached_property
+    def seen(self) -> Mask:
+        """Where there is a residual."""
+        return ~np.isnan(self.residuals)
+
+    @cached_property
+    def e(self) -> Array:
+        """Residuals, 0 where missing."""
+        return np.where(self.seen, self.residuals, 0.0)
+
+    @cached_property
+    def constant(self) -> Array:
+        """A constant in the scale of the residuals."""
+        return np.ones(len(self.residuals)) if self.level is None else self.level
+
+    @cached_property
+    def count(self) -> int:
+        """Number of residuals N."""
+        return int(self.seen.sum())
+
+    @cached_property
+    def power(self) -> float:
+        """Sum of their squares."""
+        return float(self.e @ self.e)
+
+    @cached_property
+    def centred(self) -> Array:
+        """Residuals less the mean of their record, 0 where missing."""
+        residuals = self.e.copy()
+        for part in self.parts:
+            residuals[part] -= residuals[part].sum() / max(1, int(self.seen[part].sum()))
+        return np.where(self.seen, residuals, 0.0)
+
+    @cached_property
+    def v(self) -> Array:
+        """Input less its mean over the record; 0 where it only rounds about that."""
+        centred_input = np.zeros(len(self.u))
+        for part in self.parts:
+            u = self.u[part]
+            v = u - u.mean()
+            if np.max(np.abs(v)) > len(v) * EPS * np.max(np.abs(u)):
+                centred_input[part] = v
+        return centred_input
+
+    @cached_property
+    def own(self) -> list[Array]:
+        """Directions that were fitted to each record alone."""
+        return list(self.local) or [np.zeros((part.stop - part.start, 0)) for part in self.parts]
+
+    @cached_property
+    def fitted(self) -> Basis:
+        """Orthonormal basis of the directions over the observed samples."""
+        return _basis(self, self.own)
+
+    @cached_property
+    def fitted_and_means(self) -> Basis:
+        """The same with a constant in each record."""
+        pairs = zip(self.parts, self.own, strict=True)
+        return _basis(self, [np.column_stack([self.constant[part], columns]) for part, columns in pairs])
+
+    @cached_property
+    def noise_covariance(self) -> Array:
+        """Autocovariance of the noise, tapered so that its spectrum is positive."""
+        T, longest = len(self.e), max(part.stop - part.start for part in self.parts)
+        reach = min(longest - 1, max(self.lags, int(4 * np.sqrt(T))))
+        m = np.arange(reach + 1)
+        covariance, pairs, all_pairs = np.zeros((3, reach + 1))
+        for part in self.parts:
+            samples = part.stop - part.start
+            size = next_fast_len(samples + reach + 1, real=True)
+            covariance += irfft(np.abs(rfft(self.centred[part], size)) ** 2, size)[: reach + 1]
+            pairs += irfft(np.abs(rfft(self.seen[part].astype(float), size)) ** 2, size)[: reach + 1]
+            all_pairs += np.maximum(samples - m, 0)
+        # averaged over the pairs there are, and tapered as full records would be
+        covariance = np.where(pairs > 0.5, covariance / np.maximum(pairs, 1.0), 0.0) * all_pairs / T
+        free = max(1, self.count - self.fitted.size - len(self.parts))
+        return np.asarray(covariance * (self.count / free) * _parzen(m / (reach + 1)))
+
+    def shifted_inputs(self, part: slice, lags: Indices, rows: Indices | None = None) -> Array:
+        """Row j holds the inputs `lags[j]` samples before the residuals of a record, or some of them; 0 if unknown."""
+        v = self.v[part]
+        L = int(np.max(np.abs(lags)))
+        padded = np.concatenate([np.zeros(L), v, np.zeros(L)])
+        view = np.lib.stride_tricks.sliding_window_view(padded, len(v))
+        return np.asarray(view[L - lags] if rows is None else view[(L - lags)[:, None], rows])
+
+
+def noise_scales(residuals: Sequence[Array]) -> list[float]:
+    """Root mean square of the residuals of each of several records: sensors and levels of noise may differ.
+
+    None is taken as smaller than a millionth of the largest, nor a single record in other than its own unit.
+    """
+    seen = [~np.isnan(residual) for residual in residuals]
+    return _scales_of_noise(
+        [float(np.sum(residual**2, where=kept)) for residual, kept in zip(residuals, seen, strict=True)],
+        [int(kept.sum()) for kept in seen],
+    )
+
+
+def _scales_of_noise(powers: Sequence[float], counts: Sequence[int]) -> list[float]:
+    """The same of sums of squares and numbers of residuals."""
+    if len(powers) == 1:
+        return [1.0]
+    sizes = [float(np.sqrt(power / max(1, count))) for power, count in zip(powers, counts, strict=True)]
+    largest = max(sizes) or 1.0
+    return [max(size, _QUIETEST * largest) for size in sizes]
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Orthonormal directions: some in one record alone, (T_k, p_k) each, others through all of them, (T, s)."""
+
+    local: list[Array]
+    shared: Array
+
+    @property
+    def size(self) -> int:
+        """Number of directions."""
+        return self.shared.shape[1] + sum(columns.shape[1] for columns in self.local)
+
+
+def _basis(data: ResidualData, local: list[Array]) -> Basis:
+    own = [
+        _orthonormal_of_unit(_unit(columns * data.seen[part, None]))
+        for part, columns in zip(data.parts, local, strict=True)
+    ]
+    unit = _unit(data.directions * data.seen[:, None])
+    for _ in range(2):  # once more for what rounding leaves
+        for part, columns in zip(data.parts, own, strict=True):
+            if columns.shape[1] and unit.shape[1]:
+                unit[part] -= columns @ (columns.T @ unit[part])
+    return Basis(own, _orthonormal_of_unit(unit))
+
+
+def _parzen(x: Array) -> Array:
+    """Window whose transform is positive."""
+    return np.where(x < 0.5, 1 - 6 * x**2 * (1 - x), 2 * (1 - x) ** 3)
+
+
+# --- orthonormal bases -----------------------------------------------------------------------------------------------
+
+
+def _unit(columns: Array) -> Array:
+    """Columns brought to unit length, those that are 0 left out; a copy."""
+    lengths = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    return np.asarray(columns[:, lengths > 0] / lengths[lengths > 0])
+
+
+def _orthonormal_of_unit(columns: Array) -> Array:
+    """Orthonormal basis of columns that had unit length before something was taken off."""
+    for _ in range(2):  # of columns that are nearly dependent the first basis is orthonormal to half the digits only
+        _, sigma, turn = np.linalg.svd(_factor_of(columns.T))
+        kept = sigma > _RANK
+        columns = columns @ (turn[kept].T / sigma[kept])
+    return np.asarray(columns)
+
+
+def _factor_of(columns: Array) -> Array:
+    """Triangular factor of columns given as rows (p, m), made by blocks that fit in the cache."""
+    count, samples = columns.shape
+    width = max(1024, _CACHED // max(1, count))
+    if not columns.size:
+        return np.zeros((count, count))
+    return triangle(lambda: iter([columns[:, first : first + width] for first in range(0, samples, width)]), samples)
+
+
+def without_peaks(residuals: Array) -> Array:
+    """Residuals in frequency, cut off where they are much larger than most.
+
+    Of white noise this touches one point in 20 000; of a missed resonance, a few points that would outweigh all others,
+    it leaves the flanks to be seen.
+    """
+    limit = _REACH * float(np.nanmedian(np.abs(residuals)))
+    return np.clip(residuals, -limit, limit) if limit else residuals

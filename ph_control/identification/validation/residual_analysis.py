@@ -24,8 +24,15 @@ from ..data.time_record import Record
 from ..fit.pem_result import PEMResult
 from ..fit.prediction_ahead import checked_horizon, is_simulated
 from ..regression.prediction import chosen_experiment
-from ..uncertainty.residual_data import ResidualData, noise_scales, without_peaks
-from ..uncertainty.residual_tests import Correlation, autocorrelation, cross_correlation, influence
+from ..uncertainty.residual_tests import (
+    Correlation,
+    ResidualData,
+    autocorrelation,
+    cross_correlation,
+    influence,
+    noise_scales,
+    without_peaks,
+)
 from .comparison import steps_ahead
 from .measured import (
     HeldData,

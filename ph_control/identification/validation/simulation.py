@@ -27,14 +27,13 @@ from ...systems.base import LosslessSystem, in_normal_form
 from ...systems.canonical_forms import ObservableHamiltonian
 from ...systems.port_hamiltonian import ph
 from ..data.channels import Recording, ResponseMatrix, recording, several
-from ..data.frequency_record import FrequencyRecord, InFrequency
-from ..data.line_errors import LineErrors
+from ..data.frequency_record import FrequencyRecord, InFrequency, LineErrors
 from ..data.time_record import InTime, Record
 from ..data.windowed import response_through
 from ..diagnosis.fitted_directions import Directions, directions_of, same_data
 from ..fit.pem_result import PEMResult
 from ..fit.prediction_ahead import ahead, ahead_of_growth, grows, is_simulated
-from ..regression.free_prediction import halved
+from ..regression.prediction import halved
 
 Kind = Record | FrequencyRecord | Recording | ResponseMatrix
 
