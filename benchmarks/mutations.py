@@ -111,7 +111,7 @@ FAULTS = (
         f"{ID}/growth/ending.py", "lost = 0.5 * projection.rows", "lost = 5.0 * projection.rows", "modal_search", "pem"
     ),
     fault(
-        f"{ID}/innovations/estimated_noise.py",
+        f"{ID}/innovations/joint.py",
         "added = 2 * (_gram(X, every) - twice)",
         "added = 2 * (_gram(X, every) + twice)",
         "innovations",
@@ -136,7 +136,9 @@ FAULTS = (
         "np.exp(-1j * self.omega * self.delay)",
         "delays",
     ),
-    fault(f"{ID}/search/criteria.py", "parameters * float(np.log(samples)) - 2", "2 * parameters - 2", "pem", "hum"),
+    fault(
+        f"{ID}/search/fitted_modes.py", "parameters * float(np.log(samples)) - 2", "2 * parameters - 2", "pem", "hum"
+    ),
     fault(f"{ID}/structure/hypothesis_tests.py", "\nLEVEL = 0.05", "\nLEVEL = 0.95", "pem_structures", "damped_model"),
     fault(
         f"{ID}/structure/delayed.py",

@@ -14,6 +14,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from . import _checks
 from .exceptions import StructureError
 
 _PAUSE = 1.0  # seconds from one report to the next
@@ -40,6 +41,10 @@ class Progress:
             f"{stage}order {self.order} of at most {self.max_order}, iteration {self.iteration}, rms residual "
             f"{math.sqrt(self.loss):.4g}"
         )
+
+
+Report = Callable[[int, float], None]  # iteration, loss
+Callback = Callable[[Progress], Any]
 
 
 @dataclass
@@ -86,6 +91,26 @@ def heard_by(callback: Any) -> Iterator[Any]:
         _CURRENT.reset(token)
         if callback is show_progress:
             _BAR.close()
+
+
+def reporter(largest: int, callback: Callback | None) -> Callable[[int], Report | None]:
+    """Make what reports the iterations of a number of modes to a callback, which ends the fit by `StopIteration`."""
+    if callback is not None and not callable(callback):
+        raise StructureError(f"callback is {_checks.shown(callback)}; pass a function of one argument, or None")
+
+    def report(order: int) -> Report | None:
+        if callback is None:
+            return None
+
+        def after_iteration(iteration: int, loss: float) -> None:
+            try:
+                callback(Progress(order, largest, iteration, loss))
+            except StopIteration:
+                raise KeyboardInterrupt from None
+
+        return after_iteration
+
+    return report
 
 
 class _ProgressBar:

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 import ph_control as phc
 from ph_control.identification.innovations import forces
-from ph_control.identification.innovations.estimated_noise import with_estimated_noise
+from ph_control.identification.innovations.joint import with_estimated_noise
 from ph_control.identification.innovations.minimum import Experiment, InnovationsModel, Problem, minimise
 from ph_control.identification.innovations.noise_sections import NoiseSections
 from ph_control.identification.innovations.set_ups import SetUpsProblem

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..._heartbeat import reporter
 from ..._types import ComplexArray
 from ...exceptions import StructureError
 from ...modal.modal_form import imaginary
@@ -21,10 +22,8 @@ from ..moves.free_fit import free_fit, free_refinement
 from ..regression.free import FreeProjection, Lateness, refine_free
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import is_short
-from ..search.criteria import Orders
 from ..search.findings import Cause, Finding
-from ..search.fitted_modes import FreeFit
-from ..search.progress import reporter
+from ..search.fitted_modes import FreeFit, Orders
 from ..structure.choice import Choice, Request
 from ..structure.hypothesis_tests import is_refused
 from ..structure.late_outputs import WithDelay, under_hold_and_delays

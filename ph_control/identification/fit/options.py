@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ... import _checks
+from ..._heartbeat import Callback, reporter
 from ..._options import Criterion, Discretisation, InterpolationOrAuto, NoiseKind
 from ..._types import Array, ComplexArray
 from ..._units import common_unit
@@ -15,7 +16,6 @@ from ...exceptions import StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Channels, Recording, ResponseMatrix, refuse_still
 from ..data.quantities import checked_quantities
-from ..search.progress import Callback, reporter
 from ..search.starting_poles import poles_of
 from ..structure.choice import Request
 

@@ -12,6 +12,7 @@ from scipy.linalg import solve_discrete_lyapunov, solve_triangular
 from scipy.special import chdtrc
 
 from ..._display import counted, p_value
+from ..._heartbeat import reporter
 from ..._types import Array, ComplexArray
 from ...exceptions import IdentificationError, StructureError
 from ..data.channels import Channels, Recording, single
@@ -25,7 +26,6 @@ from ..judge.evidence import rejections
 from ..regression.prediction import FittedChannels, FittedExperiment, joint_percent, natural_jacobian, shares_left
 from ..regression.tuning import TUNING
 from ..search.findings import Cause, Finding, sentences_of
-from ..search.progress import reporter
 from ..structure.choice import Request
 from ..structure.hypothesis_tests import LEVEL
 from ..uncertainty.residual_tests import ljung_box

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 from ... import _checks
-from ..._heartbeat import heard_by
+from ..._heartbeat import Callback, heard_by
 from ..._options import (
     CRITERIA,
     DISCRETISATIONS,
@@ -39,7 +39,6 @@ from ..data.quantities import ports_of, quantity_of
 from ..diagnosis.verdict import WHITE, Outcome
 from ..parameters.model_function import ModelFunction
 from ..search.findings import Cause, Finding
-from ..search.progress import Callback
 from ..search.starting_poles import poles_of
 from ..structure.parametric import PARAMETRIC, for_channels
 from .modal_fit import fit_channels

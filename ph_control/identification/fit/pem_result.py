@@ -32,7 +32,7 @@ from ..data.windowed import response_through
 from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..estimates.scaled_shapes import ModeShapes, Ports
 from ..estimates.stabilisation import Orders
-from ..growth.choosing import orders_about
+from ..growth.growing import orders_about
 from ..innovations.ambient import orders_of
 from ..parameters.fitted_parameters import FittedParameters
 from ..regression.free import Lateness

@@ -18,8 +18,7 @@ from ..search.fitted_modes import FreeFit, are_broad
 from ..search.free_search import FreeModel, Records, Responses
 from ..search.path import EXACT, FreePath
 from ..search.whitening import correlations, foretold
-from .choosing import chosen
-from .growing import given_real_poles, growing
+from .growing import chosen, given_real_poles, growing
 
 _DECIDED = 0.01  # decrease, in variances of the noise, at which what belongs to the model beside poles can be told
 _ROUNDS = 6  # of fit and variances in turn

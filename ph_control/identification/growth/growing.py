@@ -1,4 +1,7 @@
-"""Modes join, are doubted, and take better places: under given circumstances, as long as the criterion prefers it."""
+"""Modes join, are doubted, and take better places: under given circumstances, as long as the criterion prefers it.
+
+Their number is chosen with noise as coloured as the criterion prefers.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from ..._types import Array, ComplexArray, Mask
+from ..data.time_record import cut, searched_part
 from ..regression.free import FreeProjection
 from ..regression.frequency_rows import FURTHER_TERMS
 from ..regression.tuning import TUNING
-from ..search.criteria import least_gain, stands_out
-from ..search.fitted_modes import are_broad, count_modes, count_real_poles
-from ..search.free_search import FreeModel, Responses
+from ..search.channel_rows import Experiments, RowOptions, is_short
+from ..search.fitted_modes import are_broad, count_modes, count_real_poles, least_gain, stands_out
+from ..search.free_search import FreeModel, Records, Responses
 from ..search.path import FreePath
 
 _FASTEST = 0.8  # of the ceiling: faster real poles are none
@@ -23,7 +27,97 @@ _SWAPS = 6  # modes that are looked for elsewhere, at most
 _NO_NOISE = 1.0  # by which the logarithm of the variance falls where what was left is no noise, of any law
 
 
-def grown(path: FreePath, start: ComplexArray, most: int, automatic: bool,
+def chosen(path: FreePath, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
+    """Search for the model of an order, or of the best, with noise as coloured as the criterion prefers."""
+    if path.innovations:
+        return _joint(path, start, most, automatic)
+    model = _in_rows(path, start, most, automatic)
+    # coloured noise would take over what a plant lacks that has too few modes, when their number is given; beside
+    # modes with a peak it would take over the weak ones, though broad noise is no mode with a peak in any case
+    peaks = bool(np.any((model.p.imag > 0) & ~are_broad(model.p)))
+    if peaks or not ((automatic or not most) and _coloured(path, model)):
+        return model
+    # noise of a model that is too small has what this lacks: in its rows others are looked for, and from nothing
+    models = [path.in_its_noise(model)]
+    if path.options.real_poles == "auto":
+        models.append(_in_rows(path, models[0].p, most, automatic))
+    return min([*models, _joint(path, start, most, automatic)], key=path.cost)
+
+
+def _coloured(path: FreePath, model: FreeModel) -> bool:
+    """Whether the criterion prefers coloured noise, where something acts all along; spans of a record may be idle."""
+    driven = isinstance(path.plain, Records) and any(
+        record.inputs and not is_short(record) for record in path.plain.data
+    )
+    return driven and bool(path.noise_filters(model)) and not np.any(model.losses <= path.floors)
+
+
+def _joint(path: FreePath, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
+    """Grow a model from a start with the noise that belongs to each step."""
+    path.whiten((), path.power)
+    model = _grown(path, start, most, automatic, path.in_its_noise)
+    path.whiten(model.innovations, model.losses)
+    return path.in_its_noise(_improved(path, model, most, automatic))
+
+
+def _in_rows(path: FreePath, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
+    """Search for the model of an order, or of the best, in the noise of the present rows."""
+    model = _improved(path, _grown(path, start, most, automatic), most, automatic)
+    if not automatic and len(model.p) and not (path.is_exact(model) or path.is_white(model)):
+        model = _of_common_denominator(path, model, most, automatic) or model
+    other = _likelier(path, model, most) if automatic else None
+    if other is not None:
+        other = _improved(path, _grown(path, other.p, most, automatic), most, automatic)
+        model = min(model, other, key=path.cost)
+    return model
+
+
+def through_orders(path: FreePath, start: ComplexArray, most: int) -> None:
+    """Let modes join one by one from a start up to a number of them; the table has the best of each order.
+
+    The path ends where the data are reproduced to rounding.
+    """
+    model: FreeModel | None = path.reweighted(path.model(start))
+    while model is not None and count_modes(model.p) < most and np.any(model.losses > path.floors):
+        model = _with_modes(path, model, count_modes(model.p) + 1, False)
+
+
+def orders_about(
+    channels: Experiments, poles: ComplexArray, most: int, form: RowOptions
+) -> list[tuple[ComplexArray, ComplexArray]]:
+    """Return poles and residues (n, p, m) of ascending orders, one more mode each: to some poles, and on to the most.
+
+    Real poles stay, and are left out.
+    Without inputs the residues are motions in the experiments.
+    """
+    channels = [cut(channel, searched_part(channel, not form.moving)) for channel in channels]
+    path = FreePath.of(channels, form)
+    orders = []
+    for start, end in ((poles[poles.imag == 0], count_modes(poles) - 1), (poles, min(most, path.carried))):
+        model: FreeModel | None = path.reweighted(path.model(start))
+        while model is not None:
+            modes = model.p.imag > 0
+            if modes.any():
+                orders.append((model.p[modes], _residues(path, model.projection, channels)[modes]))
+            model = _with_modes(path, model, count_modes(model.p) + 1, False) if count_modes(model.p) < end else None
+    return orders
+
+
+def _residues(path: FreePath, projection: FreeProjection, channels: Experiments) -> ComplexArray:
+    """Return residues in the units of the data, shape (n, p, m); without inputs motions in the experiments."""
+    n, p, m = len(projection.p), len(channels[0].output_labels), len(channels[0].input_labels)
+    if m:
+        return np.asarray(projection.residues / path.sizes[:, None]).reshape(n, p, m)
+    motions = np.zeros((n, p, len(channels)), complex)
+    measured, done = np.cumsum([int(channel.observed.any(axis=-1).sum()) for channel in channels]), 0
+    for rows, own in zip(projection.experiments, projection.own, strict=True):
+        place = int(np.searchsorted(measured, done, side="right"))
+        motions[:, rows.outputs, place] = (own[:n] + 1j * own[n : 2 * n]) / path.sizes[rows.outputs]
+        done += len(rows.outputs)
+    return motions
+
+
+def _grown(path: FreePath, start: ComplexArray, most: int, automatic: bool,
     after: Callable[[FreeModel], FreeModel] = lambda model: model,
 ) -> FreeModel:  # fmt: skip
     """Let modes join from a start as long as the criterion prefers it; none is doubted, `after` changes each model."""
@@ -49,16 +143,16 @@ def joined(path: FreePath, model: FreeModel, most: int, automatic: bool) -> Free
     lag = _with_lag(path, model, most)
     if lag is not None and automatic and path.is_white(lag):
         return lag
-    more = with_modes(path, model, most, automatic) if count_modes(model.p) < most else None
+    more = _with_modes(path, model, most, automatic) if count_modes(model.p) < most else None
     if lag is not None and more is not None:
         return lag if path.cost(lag) <= path.cost(more) else more
     if more is None and automatic and candidates(path, model)[1].any():
         # what stands out only mends the shape of others: so it is where modes overlap
-        more = of_common_denominator(path, lag or model, most, automatic)
+        more = _of_common_denominator(path, lag or model, most, automatic)
     return more or lag
 
 
-def with_modes(path: FreePath, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
+def _with_modes(path: FreePath, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
     """Let a mode join, or several, that do not only mend the shape of others; of a given order also what does."""
     p, gains = candidates(path, model)
     if not (automatic or gains.any()):
@@ -273,7 +367,7 @@ def _alike(projection: FreeProjection) -> Mask:
     return np.abs(shapes.conj() @ shapes.T) ** 2 >= TUNING.same_shape * np.where(products > 0, products, 1.0)
 
 
-def improved(path: FreePath, model: FreeModel, most: int, automatic: bool) -> FreeModel:
+def _improved(path: FreePath, model: FreeModel, most: int, automatic: bool) -> FreeModel:
     """Relocate weak modes of a model and, of an order that is chosen, drop needless ones."""
     best = _relocated(path, model, automatic, most)
     return _without_slow_noise(path, _patched(path, pruned(path, best), most)) if automatic else best
@@ -331,7 +425,7 @@ def _without_slow_noise(path: FreePath, model: FreeModel) -> FreeModel:
     return chosen
 
 
-def likelier(path: FreePath, model: FreeModel, most: int) -> FreeModel | None:
+def _likelier(path: FreePath, model: FreeModel, most: int) -> FreeModel | None:
     """Return a much likelier model that the search has come by, of so many modes at `most`, if there is one.
 
     Where what is left is no noise, as of plants that are not quite linear, the way of a search depends on rounding.
@@ -347,7 +441,7 @@ def likelier(path: FreePath, model: FreeModel, most: int) -> FreeModel | None:
     return None
 
 
-def of_common_denominator(path: FreePath, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
+def _of_common_denominator(path: FreePath, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
     """Find modes that overlap all at once, as many as the criterion wants; None unless they explain much more.
 
     From there on modes may mend the shape of others, if they have to.

@@ -15,9 +15,9 @@ from ..regression.free import FreeProjection
 from ..regression.frequency_rows import FreeResponse
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import Experiments
-from ..search.criteria import HELD_OUT
+from ..search.fitted_modes import HELD_OUT
 from ..search.path import EXACT, FreePath
-from .choosing import chosen
+from .growing import chosen
 
 
 def foretelling_order(

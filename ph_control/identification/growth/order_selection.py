@@ -13,6 +13,7 @@ import numpy as np
 from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
+from ..._heartbeat import Callback, reporter
 from ..._options import CRITERIA, DISCRETISATIONS, INITIAL_STATES, INTERPOLATIONS_OR_AUTO, Criterion
 from ..._threads import on_one_thread
 from ..._types import Array, Indices, Mask
@@ -25,9 +26,8 @@ from ..data.experiments import as_channels
 from ..data.quantities import checked_quantities, quantity_of
 from ..search.channel_rows import Experiments, RowOptions
 from ..search.path import FreePath, SearchOptions
-from ..search.progress import Callback, reporter
 from ..search.starting_poles import poles_of
-from .choosing import through_orders
+from .growing import through_orders
 from .held_out import errors_ahead
 
 _LARGEST = 10  # by default

@@ -14,11 +14,11 @@ from functools import cached_property
 
 import numpy as np
 
+from ..._heartbeat import Report
 from ..._types import Array, ComplexArray, Indices
 from ..data.channels import Recording
-from ..search.criteria import Criteria
+from ..search.fitted_modes import Criteria
 from ..search.predictor_states import cross_correlations, longest_past
-from ..search.progress import Report
 from .minimum import Experiment, InnovationsModel, LikelihoodEvaluation, Minimum, Problem, minimise
 from .noise_sections import NoiseSections
 from .set_ups import SetUpsProblem

@@ -15,9 +15,8 @@ from ..regression.free import FreeProjection
 from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from ..search.criteria import Criteria, Orders
 from ..search.findings import Cause, Finding
-from ..search.fitted_modes import FreeFit
+from ..search.fitted_modes import Criteria, FreeFit, Orders
 from ..search.predictor_states import PredictorStates, likeliest, predictors_of, signals_of
 from ..search.whitening import foretold
 from ..uncertainty.noise_model import NoiseModel

@@ -14,7 +14,7 @@ from scipy.linalg import solve_discrete_are
 
 from ..._types import Array, ComplexArray
 from ..regression.sections import Sections
-from ..search.criteria import Orders
+from ..search.fitted_modes import Orders
 from .noise_sections import NoiseSections
 
 _ANY = Orders()

@@ -15,8 +15,7 @@ from ..growth.growing import joined
 from ..regression.free import Lateness
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import Experiments, RowOptions, records_of
-from ..search.criteria import Orders
-from ..search.fitted_modes import FreeFit, count_modes
+from ..search.fitted_modes import FreeFit, Orders, count_modes
 from ..search.path import FreePath, Reports, SearchOptions
 
 Anew = Callable[[Lateness, int, ComplexArray | None], FreeFit]  # search, or from poles, with delays and offsets

@@ -1,36 +1,44 @@
 """From recordings or response matrices to the damped modes, with any residues, that are most likely.
 
 One mode after the other joins where it explains most of what is left of all channels together, all are refined
-jointly, and each output counts by the variance of its own noise, which is estimated along with them.
+jointly, and each output counts by the variance of its own noise, which is estimated along with them.  Searches that
+begin or proceed otherwise are taken where they are likelier; of long records, and of those whose noise changes, modes
+of parts are refined over all samples.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.stats import f as f_law
 
 from ..._types import Array, ComplexArray
 from ..data.channels import Recording, ResponseMatrix
-from ..data.time_record import is_long
+from ..data.time_record import cut, is_long, searched_part, stages
+from ..growth.ending import end_of_search, finished
+from ..growth.growing import chosen, evidence_of
 from ..growth.held_out import foretelling_order
+from ..regression.free import FreeProjection
 from ..regression.tuning import TUNING
-from ..search.channel_rows import Experiments
-from ..search.criteria import Orders
-from ..search.fitted_modes import FreeFit, count_modes, count_real_poles
-from ..search.path import FreePath
-from .assumptions import Assumptions, Search, alone
+from ..search.channel_rows import Experiments, RowOptions
+from ..search.fitted_modes import FreeFit, Orders, are_broad, count_modes, count_real_poles
+from ..search.free_search import FreeModel, Responses
+from ..search.path import FreePath, SearchOptions
+from ..uncertainty.residual_tests import is_white
+from .assumptions import Assumptions, Fit, Search, alone
 from .delays import are_heavy, may_be_late, of_late_lag, of_predicted_delay, on_time, predicted_lateness
 from .drifts import beside_drift, with_constants
-from .gain_noise import in_noise_of_the_gain
 from .late_inputs import of_late_inputs, with_dead_times
-from .long_records import in_changing_noise, of_long
 from .prevailing_noise import InNoise, beside_forces_and_more, in_prevailing_noise
-from .second_searches import from_peaks, in_own_noise, likelier_in_own_noise, of_few_lines, with_real_poles
-from .single_lines import without_lines_in_error
-from .window_noise import in_noise_of_the_window, with_first_errors
+from .response_noise import in_noise_of_the_gain, in_noise_of_the_window, with_first_errors, without_lines_in_error
+
+_FEW_MODES = 5  # that few points of responses do not show beside a background
+
+_SHORTEST_SPAN = 32  # samples of one level of noise that are searched
 
 
 def free_fit(
@@ -116,12 +124,12 @@ def free_refinement(channels: Experiments, like: FreeFit, p: ComplexArray, **ass
 def _fitted(channels: Experiments, order: int | str, assumptions: Assumptions, start: ComplexArray | None) -> FreeFit:
     """Fit modes the way that the data and the order ask for: by parts, twice, without some lines, or directly."""
     if is_long(channels):
-        return of_long(channels, order, assumptions, start, _fitted)
+        return _of_long(channels, order, assumptions, start, _fitted)
     if any(isinstance(channel, Recording) and len(channel.changes) for channel in channels):
-        return in_changing_noise(channels, order, assumptions, start, _fitted)
+        return _in_changing_noise(channels, order, assumptions, start, _fitted)
     if assumptions.real_poles == "auto" and isinstance(order, int):
         if start is None:
-            return with_real_poles(channels, order, assumptions, _fitted)
+            return _with_real_poles(channels, order, assumptions, _fitted)
         assumptions = replace(assumptions, real_poles=0)
     responses = [data for data in channels if isinstance(data, ResponseMatrix)]
     if not responses:
@@ -228,7 +236,7 @@ def _or_in_own_noise(fit: FreeFit, forced: FreeFit, search: Search) -> tuple[Fre
         slow = _in_slow_noise(fit, forced.own_noise, search)
         better = slow.interrupted or forced.beside is None or slow.criteria.bic < forced.criteria.bic
         return (slow, slow, None) if better else (fit, forced, slow)
-    coloured = likelier_in_own_noise(forced, search) if forced.beside and forced.beside.is_coloured else None
+    coloured = _likelier_in_own_noise(forced, search) if forced.beside and forced.beside.is_coloured else None
     return (fit, forced, None) if coloured is None else (coloured, coloured, None)
 
 
@@ -240,7 +248,7 @@ def _in_slow_noise(fit: FreeFit, filters: tuple[Array, ...], search: Search) -> 
             drifting = beside_drift(fit, search.anew(fit))
         except KeyboardInterrupt:
             return replace(fit, interrupted=True)
-    coloured = in_own_noise(fit, filters, search)
+    coloured = _in_own_noise(fit, filters, search)
     return drifting if drifting.criteria.bic < coloured.criteria.bic and not coloured.interrupted else coloured
 
 
@@ -248,9 +256,9 @@ def _or_likelier(fit: FreeFit, path: FreePath, search: Search, start: ComplexArr
     """Return the fit at the end of a path, or those to responses that begin otherwise and are likelier."""
     given = search.assumptions
     if given.weighted and start is None and not fit.windowed:
-        fit = from_peaks(fit, path, search)
+        fit = _from_peaks(fit, path, search)
     if search.automatic and given.real_poles in ("auto", 0) and not fit.interrupted:
-        fit = of_few_lines(fit, path, min(given.max_order, path.carried))
+        fit = _of_few_lines(fit, path, min(given.max_order, path.carried))
     return fit
 
 
@@ -307,3 +315,196 @@ def _in_likelier_rows(forced: FreeFit, changed: FreeFit, in_noise: InNoise, sear
         if again.criteria.bic * share < forced.criteria.bic - 2 * TUNING.sure:
             return again
     return with_constants(forced) if search.assumptions.drifting else forced
+
+
+def _from_peaks(fit: FreeFit, path: FreePath, search: Search) -> FreeFit:
+    """Fit from the poles that responses show where all lines weigh the same, if that is likelier.
+
+    Weighted by its gain, a response is equally large everywhere: its resonances do not stand out in a search for poles.
+    """
+    channels: Any = fit.channels
+    if not fit.per_entry or fit.interrupted or fit.crowded or path.best is None or path.is_white(path.best):
+        return fit
+    if all(np.ptp(channel.weights[channel.observed]) == 0 for channel in channels):
+        return fit
+    alike = [replace(channel, weights=np.where(channel.observed, 1.0, channel.weights)) for channel in channels]
+    p = search.along(search.path(alike), alike).projection.p
+    other = search.along(search.path(channels), channels, p)
+    return other if other.criteria.bic < fit.criteria.bic else fit
+
+
+def _in_own_noise(fit: FreeFit, filters: tuple[Array, ...], search: Search) -> FreeFit:
+    """Fit modes that grow together with coloured noise of each output, if that is likelier.
+
+    Beside constants: in white noise slow poles may have stood for them.
+    """
+    path = search.path(fit.channels)
+    path.whiten(filters, path.power)
+    again = search.along(path, fit.channels)
+    return again if again.interrupted or again.criteria.bic < fit.criteria.bic else fit
+
+
+def _likelier_in_own_noise(forced: FreeFit, search: Search) -> FreeFit | None:
+    """Fit the modes of a fit beside forces in coloured noise of each output instead; None if that is less likely."""
+    path = search.path(forced.channels, forced.lateness, forced.offset, forced.intersample)
+    path.whiten(forced.own_noise, path.power)
+    try:
+        model = path.in_its_noise(path.model(forced.projection.p))
+    except KeyboardInterrupt:
+        return replace(forced, interrupted=True)
+    coloured = finished(path, model, forced.channels)
+    return coloured if coloured.criteria.bic <= forced.criteria.bic else None
+
+
+def _of_few_lines(fit: FreeFit, whole: FreePath, most: int) -> FreeFit:
+    """Fit few points of responses at the poles that real shapes of damping that decouples ask for, if likelier.
+
+    Where few points show as many residues of any phase, these are too many numbers for the criterion to grant.
+    """
+    best: FreeModel | None = None
+    cost = np.inf
+    try:
+        for few in _searches_of_few_lines(whole):
+            model = _significant(few, chosen(few, np.zeros(0, complex), most, True))
+            if few.cost(model) < min(cost, fit.criteria.by_name(few.options.criterion)):
+                best, cost, path = model, few.cost(model), few
+        if best is None:
+            return fit
+        rows = [replace(response, classical=False) for response in path.search.data]
+        free = path.elsewhere(Responses(rows, False))
+        judged = finished(free, free.model(best.p), fit.channels)
+    except KeyboardInterrupt:
+        return replace(fit, interrupted=True)
+    return replace(judged, order_table=tuple(path.table[n] for n in sorted(path.table)))
+
+
+def _searches_of_few_lines(path: FreePath) -> list[FreePath]:
+    """Begin searches for modes with real shapes among responses of few points, without and with a background."""
+    if not isinstance(path.search, Responses) or path.search.shows_background(_FEW_MODES):
+        return []
+    if any(response.quantity == "free" for response in path.search.data):
+        return []
+    rows = [replace(response, classical=True) for response in path.search.data]
+    return [
+        path.elsewhere(Responses(each, False), real_poles=0, largest=None)
+        for each in (rows, [response.beside_modes_outside() for response in rows])
+    ]
+
+
+def _significant(path: FreePath, model: FreeModel) -> FreeModel:
+    """Drop modes of a model that noise alone might show somewhere, the weakest dropped first."""
+    each = path.search.unknowns(1) - path.search.unknowns(0)
+    while len(model.p):
+        evidence, loss = evidence_of(path, model), float(np.sum(model.losses * path.sizes**2))
+        weakest, spare = int(np.argmin(evidence)), path.counts.sum() - path.search.unknowns_of(model.p)
+        ratio = evidence[weakest] / loss * spare / each if loss > 0 else np.inf
+        if spare > 0 and f_law.sf(ratio, each, spare) * path.counts.sum() < TUNING.by_chance:
+            break
+        model = path.model(np.delete(model.p, weakest))
+    return model
+
+
+def _with_real_poles(channels: Experiments, order: int, assumptions: Assumptions, fitted: Fit) -> FreeFit:
+    """Fit a number of modes, pairs of real poles among them, with further real poles if these are likelier.
+
+    They are looked for where modes alone leave what is no noise, or have no peak, as a pair of real poles has none.
+    Modes that overlap may be fewer, as a search has them all at once.
+    """
+    fit = fitted(channels, order, replace(assumptions, real_poles=0), None)
+    if fit.interrupted or fit.rounding or fit.beside is not None:
+        return fit
+    if not are_broad(fit.projection.p).any() and is_white(fit.projection):
+        return fit
+    open_order = replace(assumptions, max_order=min(order, assumptions.max_order))
+    # first under the circumstances that there are
+    same = replace(open_order, delay=fit.delay, input_delay=fit.input_delay, intersample=fit.intersample, beside=alone)
+    trial = fitted(channels, "auto", same, fit.projection.p)
+    if trial.interrupted:
+        return replace(fit, interrupted=True)
+    if not count_real_poles(trial.projection.p) or trial.criteria.bic >= fit.criteria.bic:
+        return fit
+    wider = fitted(channels, "auto", open_order, None)
+    real = count_real_poles(wider.projection.p)
+    fewer = order - real // 2 - wider.order
+    if wider.interrupted:
+        return replace(fit, interrupted=True)
+    if not real:
+        return fit
+    if fewer > 0 and not wider.crowded:
+        wider = fitted(channels, order - real // 2, replace(assumptions, real_poles=real), wider.projection.p)
+    return wider if not wider.interrupted and wider.criteria.bic < fit.criteria.bic else fit
+
+
+def _of_long(
+    channels: Experiments, order: int | str, assumptions: Assumptions, start: ComplexArray | None, fitted: Fit
+) -> FreeFit:
+    """Fit modes to a part of long records, and refine them over longer and longer ones, up to all samples."""
+    part = [searched_part(channel, not assumptions.moving) for channel in channels]
+    parts = [cut(channel, span) for channel, span in zip(channels, part, strict=True)]
+    fit = fitted(parts, order, replace(assumptions, beside=alone, white=False), start)
+    if fit.interrupted:
+        return fit
+    largest = None if isinstance(order, int) else assumptions.max_order
+    best, path = FreeModel(fit.projection, [], fit.projection.losses * fit.scales**2), None
+    while path is None or any(
+        span.stop - span.start < channel.samples for span, channel in zip(part, channels, strict=True)
+    ):
+        part = [next(stages(span, channel.samples), span) for span, channel in zip(part, channels, strict=True)]
+        longer = [cut(channel, span) for channel, span in zip(channels, part, strict=True)]
+        path = _path_as_of(fit, longer, assumptions, largest, best)
+        projection = path.refined(best.p, TUNING.rough, None)
+        path.best = best = FreeModel(projection, [], path.in_data(projection.losses), path.search)
+    whole = end_of_search(path, best.p, len(best.p), False, channels, either_hold=assumptions.intersample == "auto")
+    whole = whole.with_rival(lambda rival: replace(rival, order_table=fit.order_table))
+    return replace(
+        whole, order_table=fit.order_table, findings=fit.findings, delay_gain=fit.delay_gain
+    ).with_delay_open(fit.delay_open)
+
+
+def _in_changing_noise(
+    channels: Experiments, order: int | str, assumptions: Assumptions, start: ComplexArray | None, fitted: Fit
+) -> FreeFit:
+    """Fit modes to spans of one level of recordings whose noise changes, and refine them over all samples.
+
+    Plants at rest before the recordings, which are in motion where others of the spans begin, are looked for in the
+    noise of all of them.
+    """
+    recordings = [channel for channel in channels if isinstance(channel, Recording)]
+    moving = assumptions.moving
+    spans = [part for data in recordings for part in (_spans_of_one_level(data) if moving else [data.of_one_level])]
+    fit = fitted(spans, order, replace(assumptions, beside=alone, white=False), start)
+    path = _path_as_of(fit, channels, assumptions)
+    path.table = {row.order: row for row in fit.order_table}
+    model = FreeModel(fit.projection, [], path.power, path.search)
+    if fit.interrupted:
+        path.weigh(path.in_data(FreeProjection(path.scaled.data, fit.projection.p).losses))
+        return replace(finished(path, model, channels, interrupted=True), interrupted=True)
+    path.best = replace(model, losses=path.in_data(path.refined(fit.projection.p, TUNING.rough, None).losses))
+    whole = end_of_search(
+        path, fit.projection.p, fit.order, False, channels, either_hold=assumptions.intersample == "auto"
+    )
+    return replace(whole, findings=fit.findings, delay_gain=fit.delay_gain).with_delay_open(fit.delay_open)
+
+
+def _path_as_of(
+    fit: FreeFit, channels: Experiments, assumptions: Assumptions, largest: int | None = None,
+    best: FreeModel | None = None,
+) -> FreePath:  # fmt: skip
+    """Begin a search in other channels, with the hold, offset, delays and noise of a fit."""
+    form = RowOptions(
+        assumptions.quantities, fit.intersample, fit.offset, assumptions.moving, assumptions.method, fit.lateness
+    )
+    options = SearchOptions(assumptions.criterion, assumptions.reports, assumptions.real_poles, largest=largest)
+    return FreePath.of(channels, form, options, best, fit.noise)
+
+
+def _spans_of_one_level(recording: Recording) -> list[Recording]:
+    """Return recordings of the spans in which noise has one level, but for those too short to be searched.
+
+    Spans end at different samples where outputs change by themselves.
+    """
+    ends = [0, *recording.changes.tolist(), recording.samples]
+    return [
+        cut(recording, slice(first, last)) for first, last in pairwise(ends)
+        if last - first >= min(_SHORTEST_SPAN, max(np.diff(ends)))
+    ]  # fmt: skip

@@ -13,10 +13,8 @@ from ..regression.free import FreeProjection, Lateness
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.channel_rows import Experiments
-from ..search.criteria import Orders
-from ..search.fitted_modes import FreeFit, are_broad
-from ..search.predicted_delay import predicted_delay
-from ..search.predictor_states import ranked_predictors
+from ..search.fitted_modes import FreeFit, Orders, are_broad
+from ..search.predictor_states import predicted_delay, ranked_predictors
 from .assumptions import Search
 from .delays import errors_leave_traces, feel_at_once, leaves_traces
 from .drifts import are_slow, drift_of, may_drift, with_constants

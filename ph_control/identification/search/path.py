@@ -22,8 +22,7 @@ from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Progress
 from ..uncertainty.residual_tests import all_white
 from .channel_rows import Experiments, RowOptions, records_of, refuse_unmeasured, responses_of
-from .criteria import Criteria, past_of_noise, stands_out
-from .fitted_modes import FreeOrder, count_modes, count_real_poles
+from .fitted_modes import Criteria, FreeOrder, count_modes, count_real_poles, past_of_noise, stands_out
 from .free_search import FreeModel, FreeSearch, Records, Responses
 
 Reports = Callable[[int], Progress | None]  # what reports the iterations for a number of modes, if anything
