@@ -91,7 +91,7 @@ FAULTS = (
         "windowed_responses",
     ),
     fault(f"{ID}/diagnosis/hum.py", "_LINE = 1e-6", "_LINE = 0.9", "hum"),
-    fault(f"{ID}/diagnosis/outliers.py", "_BY_CHANCE = 1e-4", "_BY_CHANCE = 0.9", "frequency_fits", "real_noise"),
+    fault(f"{ID}/diagnosis/noise_levels.py", "_BY_CHANCE = 1e-4", "_BY_CHANCE = 0.9", "frequency_fits", "real_noise"),
     fault(
         f"{ID}/estimates/experiments.py",
         "(0.0, -1.0, -2.0)[power] + 0.5",

@@ -16,8 +16,8 @@ from ph_control.identification.regression.free import FreeProjection, PoleRegion
 from ph_control.identification.regression.frequency_rows import FreeResponse
 from ph_control.identification.regression.time_rows import FreeRecord
 from ph_control.identification.structure.constrained import constrained
+from ph_control.identification.structure.coordinates import ChannelLayout
 from ph_control.identification.structure.hypothesis_tests import structure_tests
-from ph_control.identification.structure.layout import ChannelLayout
 from ph_control.modal.discretization import Hold
 from tests.structure_plants import CASES, SAMPLES, chain, plant, recorded
 

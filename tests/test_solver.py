@@ -13,7 +13,7 @@ from ph_control.identification.regression.time_rows import FreeRecord
 from ph_control.identification.regression.variable_projection import refine
 from ph_control.identification.search.free_search import Records
 from ph_control.identification.structure.constrained import constrained
-from ph_control.identification.structure.layout import ChannelLayout
+from ph_control.identification.structure.coordinates import ChannelLayout
 from ph_control.modal.discretization import Hold
 
 POLES = np.array([-0.01 + 0.42j, 1.09j, -0.08 + 2.03j])

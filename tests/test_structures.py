@@ -16,8 +16,8 @@ from ph_control.identification.regression.frequency_rows import FreeResponse
 from ph_control.identification.regression.sections import PoleRegion
 from ph_control.identification.regression.time_rows import FreeRecord
 from ph_control.identification.structure.constrained import ConstrainedProblem, constrained, coordinates_of
+from ph_control.identification.structure.coordinates import ChannelLayout
 from ph_control.identification.structure.hypothesis_tests import choose, structure_tests
-from ph_control.identification.structure.layout import ChannelLayout
 from ph_control.modal.discretization import Hold
 from ph_control.modal.general_form import real_matrices
 

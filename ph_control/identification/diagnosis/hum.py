@@ -18,7 +18,7 @@ from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
-from .unequal_noise import experiments_of
+from .noise_levels import experiments_of
 
 _STILL = 3.0  # over the length of a record: the decay rate that a tone may seem to have
 _LARGEST = 1 << 24  # samples of all outputs beyond which nothing is said of tones

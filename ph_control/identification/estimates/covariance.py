@@ -13,10 +13,9 @@ from ..diagnosis.verdict import HypothesisTest
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.prediction import natural_jacobian
 from ..search.fitted_modes import FreeFit
-from ..structure.choice import Choice, Request
+from ..structure.choice import Choice, Request, places_of
 from ..structure.constrained import StructuredFit
 from ..structure.hypothesis_tests import is_refused
-from ..structure.late_outputs import places_of
 
 
 @dataclass(frozen=True, eq=False)

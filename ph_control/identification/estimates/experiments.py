@@ -16,7 +16,7 @@ from ..regression.frequency_rows import FreeResponse
 from ..regression.modal_regressors import output_weight
 from ..regression.prediction import FittedChannels, FittedExperiment, ResponseBackground, natural_jacobian, state_of
 from ..regression.time_rows import FreeRecord
-from ..structure.layout import residue_of_unit_weight, weights_of
+from ..structure.coordinates import residue_of_unit_weight, weights_of
 from .covariance import FittedStructure, roots
 from .scaled_shapes import ModeShapes, shape_errors
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..._types import Array
 from ..data.channels import ResponseMatrix
-from ..diagnosis.changing_noise import level_of
+from ..diagnosis.noise_levels import level_of
 from ..regression.prediction import FittedChannels, pieces
 from ..search.findings import Cause
 from ..search.fitted_modes import FreeFit

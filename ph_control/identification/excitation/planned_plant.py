@@ -18,8 +18,7 @@ from ...modal.modal_form import ModalForm
 from ...systems.port_hamiltonian import modes
 from ..regression.prediction import halved, natural_jacobian
 from ..regression.sections import Sections
-from ..structure.coordinates import ShapeCoordinates
-from ..structure.layout import ChannelLayout
+from ..structure.coordinates import ChannelLayout, ShapeCoordinates
 from ..uncertainty.fisher import Information
 from ..uncertainty.noise_model import NoiseModel
 

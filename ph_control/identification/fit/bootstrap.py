@@ -16,9 +16,8 @@ from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
 from ..data.channels import Recording
 from ..data.experiments import as_channels
-from ..diagnosis.changing_noise import levels_of
 from ..diagnosis.hum import Tones
-from ..diagnosis.unequal_noise import experiments_of
+from ..diagnosis.noise_levels import experiments_of, levels_of
 from ..regression.free import FreeProjection, GivenResidues, refine_free
 from ..regression.frequency_rows import FreeResponse, terms_in
 from ..regression.prediction import FittedChannels, ResponseBackground, halved, state_of
@@ -28,7 +27,7 @@ from ..search.channel_rows import RowOptions
 from ..search.free_search import Responses
 from ..search.path import FreePath
 from ..structure.constrained import StructuredFit, constrained
-from ..structure.layout import ChannelLayout, weights_of
+from ..structure.coordinates import ChannelLayout, weights_of
 from ..uncertainty.draws import draws_from, tail_of
 from ..uncertainty.modal_draws import ModalSamples
 

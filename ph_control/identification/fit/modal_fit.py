@@ -24,9 +24,8 @@ from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import is_short
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit, Orders
-from ..structure.choice import Choice, Request
+from ..structure.choice import Choice, Request, WithDelay, under_hold_and_delays
 from ..structure.hypothesis_tests import is_refused
-from ..structure.late_outputs import WithDelay, under_hold_and_delays
 from ..uncertainty.residual_tests import is_white
 from .judged_result import judged
 from .options import Options

@@ -49,7 +49,7 @@ from ..regression.prediction import (
 )
 from ..search.channel_rows import RowOptions
 from ..search.findings import Cause, Finding
-from ..structure.layout import residue_of_unit_weight, weights_of
+from ..structure.coordinates import residue_of_unit_weight, weights_of
 from ..structure.parametric import PARAMETRIC
 from ..uncertainty.draws import draw
 from ..uncertainty.modal_draws import ModalSamples

@@ -24,7 +24,7 @@ from ..diagnosis.verdict import Outcome
 from ..parameters.fitted_parameters import FittedParameters
 from ..regression.modal_regressors import QUANTITIES
 from ..regression.prediction import FittedChannels, FittedExperiment, ResponseBackground
-from ..structure.layout import residue_of_unit_weight
+from ..structure.coordinates import residue_of_unit_weight
 from ..structure.parametric import PARAMETRIC
 from ..uncertainty.noise_model import NoiseModel
 from .pem_result import PEMResult

@@ -10,9 +10,8 @@ import numpy as np
 from ..._types import Array, NDArray
 from ..data.channels import Recording
 from ..data.time_record import Difference, Record, Signal
-from ..diagnosis.changing_noise import level_of
 from ..diagnosis.fitted_directions import directions_of
-from ..diagnosis.outliers import outliers, saturation
+from ..diagnosis.noise_levels import level_of, outliers, saturation
 from ..estimates.estimates import Estimates
 from ..regression.prediction import FittedChannels
 from ..regression.tuning import TUNING

@@ -26,8 +26,7 @@ from ..regression.free import Delays, FreeProjection, GivenResidues, Sensitivity
 from ..regression.sections import PoleRegion
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Refinement, continue_refinement, refine
-from .coordinates import MatrixCoordinates, ShapeCoordinates, StructureCoordinates
-from .layout import ChannelLayout
+from .coordinates import ChannelLayout, MatrixCoordinates, ShapeCoordinates, StructureCoordinates
 from .passive import PassivePoint, made_passive, nearest_passive
 
 _EXACT = 1e-10  # relative decrease of the loss at which a refinement ends

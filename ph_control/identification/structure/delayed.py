@@ -20,7 +20,7 @@ from ..regression.free import Delays, FreeProjection, FreeRows
 from ..regression.sections import PoleRegion
 from ..regression.tuning import TUNING
 from .constrained import Approach, StructuredFit
-from .layout import ChannelLayout
+from .coordinates import ChannelLayout
 
 _GRID = 16  # delays that are compared within the interval between samples
 _REST = 0.05  # of the squares by which residues are off a structure, which delays may leave,

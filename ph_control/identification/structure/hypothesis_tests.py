@@ -17,7 +17,7 @@ from ..regression.free import FreeProjection
 from ..regression.sections import PoleRegion
 from ..regression.time_rows import FreeRecord
 from .constrained import Approach, StructuredFit, constrained, is_crowded, nearest_passive_fit
-from .layout import ChannelLayout
+from .coordinates import ChannelLayout
 
 LEVEL = 0.05
 _ITERATIONS = 12  # three are usual

@@ -32,8 +32,8 @@ from ..regression.time_rows import FreeRecord
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from .constrained import StructuredFit
+from .coordinates import ChannelLayout
 from .hypothesis_tests import likelihood_test
-from .layout import ChannelLayout
 from .parametric_noise import SharedNoise
 
 PARAMETRIC = "parametric"

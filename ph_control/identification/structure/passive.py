@@ -8,19 +8,19 @@ where the next ones are, until there is none.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import nnls
 
 from ..._heartbeat import alive
 from ..._types import Array, ComplexArray, Indices
 from ...modal.general_form import real_matrices
-from ...modal.positive_real import Passivity
-from ...numerics.least_distance import least_distance
+from ...modal.positive_real import Passivity, lowest_places
 from ..regression.free import FreeProjection, GivenResidues
-from .layout import ChannelLayout
-from .worst_frequencies import minima
+from .coordinates import ChannelLayout
 
 _INSIDE = 1e-6  # standard errors of a constraint by which it is kept, so that rounding does not break it
 _STEADY = 1e-3  # those of a decay rate by which poles are kept from the axis
@@ -33,6 +33,11 @@ _AGREES = 0.01  # of the squared distance: so near to it is the cost, that the m
 _FAR = 1e3  # squared distance in standard errors beyond which there is no need for digits
 _SETTLED = 1e-3  # change of the squared distance in standard errors, at the last
 _SHOWN = 1e-2  # of the largest eigenvalue of the correlations of active constraints: below, two are one
+
+_ABOUT = 57  # points about each pole
+_ZOOMS = 4  # towards a minimum between three points, to a hundredth of their distance squared
+
+_EMPTY = 1e-12  # of a unit vector: a rest so small says that no point meets the constraints
 
 
 @dataclass(frozen=True)
@@ -219,7 +224,7 @@ class _Ports:
 
     def _lowest(self, model: tuple[ComplexArray, ComplexArray, Array]) -> list[float]:
         """Ends of the axis, and minima of the smallest eigenvalue between points that are dense about the poles."""
-        frequencies = minima(lambda omega: np.asarray(np.linalg.eigvalsh(self._phi(*model, omega))[:, 0]), model[0])
+        frequencies = _minima(lambda omega: np.asarray(np.linalg.eigvalsh(self._phi(*model, omega))[:, 0]), model[0])
         return [0.0, *frequencies, np.inf]
 
     def curvature(self, theta: Array, w: float, v: ComplexArray) -> Array:
@@ -341,7 +346,7 @@ def _projected(ports: _Ports, centre: Array, C: Array, theta: Array, most: float
             M, h = A @ C @ A.T, inside - values / np.where(size > 0, size, 1.0) + A @ (theta - centre)
         if not (np.isfinite(M).all() and np.isfinite(h).all()):
             break  # modes that the data do not show
-        solved = least_distance(M, h, equal)
+        solved = _least_distance(M, h, equal)
         if solved is None:
             break
         theta = centre + C @ (A.T @ solved)
@@ -398,3 +403,49 @@ class _Held:
             return self.C
         moved = self.C @ self.rows.T
         return np.asarray(self.C - moved @ np.linalg.pinv(self.rows @ moved, hermitian=True) @ moved.T)
+
+
+def _minima(least: Callable[[Array], Array], poles: ComplexArray) -> list[float]:
+    """Local minima between 0 and infinity of `least`, a function of frequencies (K,) that varies as its poles do."""
+    grid = _grid(poles)
+    values = least(grid)
+    inner = lowest_places(values)
+    if not len(inner):
+        return []
+    low, high = grid[inner - 1], grid[inner + 1]
+    for _ in range(_ZOOMS):
+        closer = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, 17)
+        values = least(closer.ravel()).reshape(closer.shape)
+        k = np.argmin(values, axis=1)
+        rows = np.arange(len(k))
+        low, high = closer[rows, np.maximum(k - 1, 0)], closer[rows, np.minimum(k + 1, 16)]
+    return [float(w) for w in closer[rows, k]]
+
+
+def _grid(poles: ComplexArray) -> Array:
+    """Frequencies dense about the poles, evenly spaced between them, and beyond."""
+    size = float(np.abs(poles).max())
+    near = (poles.imag[:, None] + poles.real[:, None] * np.sinh(np.linspace(-7.0, 7.0, _ABOUT))).ravel()
+    even = np.linspace(0.0, 2 * size, 20 * len(poles))
+    return np.unique(np.concatenate([near[near > 0], even, np.geomspace(2, 100, 20) * size]))
+
+
+def _least_distance(M: Array, h: Array, equal: int) -> Array | None:
+    """Multipliers of the point nearest to the origin with `A z >= h`, the first few equal; `M = A A^T`.
+
+    The point is `A^T` times them; None if there is none.  Lawson and Hanson's way to non-negative least squares.
+    """
+    scale = float(np.abs(h).max(initial=0.0)) or 1.0
+    both = np.concatenate([np.arange(len(h)), np.arange(equal)])
+    sign = np.concatenate([np.ones(len(h)), -np.ones(equal)])
+    values, vectors = np.linalg.eigh(M)
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    E = np.concatenate([root[:, both] * sign, (sign * h[both])[None] / scale])
+    target = np.append(np.zeros(len(root)), 1.0)
+    solution, _ = nnls(E, target, maxiter=100 * len(both))
+    residual = 1.0 - E[-1] @ solution
+    if not residual > _EMPTY:
+        return None
+    multipliers = np.zeros(len(h))
+    np.add.at(multipliers, both, sign * solution * (scale / residual))
+    return multipliers

@@ -1,4 +1,8 @@
-"""Noise that changes within a recording: from where to where, and how large it is in each span."""
+"""Noise of several levels: that changes within a recording, is unequal in experiments, or has samples that stand out.
+
+Of noise that changes: from where to where, and how large it is in each span.  Of experiments of different quality: how
+large the noise of each is beside that of the others.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +11,17 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm, t
 
 from ..._types import Array, Indices
 from ..data.channels import Recording
-from ..data.time_record import is_long
+from ..data.time_record import LONG, Signal, blocks, is_long
 from ..regression.time_rows import FreeRecord
+from ..regression.tuning import TUNING
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from ..search.whitening import foretold
-from .outliers import outliers, saturation
-from .unequal_noise import experiments_of
 
 _PIECE = 16  # samples that are looked at together
 _PIECES = 600  # of a recording, at most
@@ -31,6 +36,18 @@ _MEDIAN = 0.6745  # of the absolute value of a normal variable
 _LOG_VARIANCE = np.pi**2 / 2  # of the logarithm of its square
 
 Spans = list[tuple[int, int]]
+
+_ROUNDS = 20  # of the noise of outputs and of experiments in turn
+_SETTLED = 1e-3  # relative change
+_EQUAL = 0.02  # relative difference of units beyond which a fit is repeated
+
+_BY_CHANCE = 1e-4  # probability that noise alone shows one anywhere
+_FEWEST = 20  # residuals to spare below which nothing is said
+_SHARE = 0.03  # of the samples: with more of them the noise has another distribution, or another level in places
+_REPEATED = 5  # samples with the largest value of all, below which nothing is said of the range
+_OFTEN = 2.0  # times as many of them as of the values next to it
+_NEAR = 0.01, 0.1  # of the range: what is next to its end, and how far to look for that
+_EFFICIENCY = 0.37  # of the median of absolute values beside the mean of squares
 
 
 def changing_levels(fit: FreeFit) -> tuple[Array | None, ...] | None:
@@ -252,3 +269,136 @@ def level_of(channel: Any) -> Array | None:
     """Level of the noise of a recording (p, T), None where it does not change."""
     level: Array | None = getattr(channel, "level", None)
     return level
+
+
+def experiments_of(rows: Sequence[Any], channels: Sequence[Any]) -> Indices:
+    """Which experiment each of some rows is from: experiments have rows for the outputs that they observe."""
+    ends = np.cumsum([int(channel.observed.any(axis=-1).sum()) for channel in channels])
+    starts = np.cumsum([0, *(len(record.outputs) for record in rows)])[:-1]
+    return np.searchsorted(ends, starts, side="right")
+
+
+def noise_units(fit: FreeFit) -> tuple[Array, float]:
+    """Standard deviation of the noise of each experiment, and the log-likelihood beside the same noise in all.
+
+    The residuals of output o in experiment e have the variance `(unit_e sigma_o)^2`, both by maximum likelihood.  The
+    geometric mean of the units, over all samples, is 1.  The gain is less what the criterion charges for them.
+    """
+    channels = fit.channels
+    units = np.ones(len(channels))
+    if len(channels) == 1 or not isinstance(channels[0], Recording) or fit.rounding or fit.interrupted:
+        return units, 0.0
+    squares, counts = _squares(fit)
+    seen, total = counts.sum(axis=1), counts.sum()
+    if np.any(seen == 0) or np.any(squares.sum(axis=1) == 0):
+        return units, 0.0
+
+    def variances() -> Array:
+        return np.sum(squares / units[:, None] ** 2, axis=0) / np.maximum(counts.sum(axis=0), 1)
+
+    def loglik() -> float:
+        known = counts.sum(axis=0) > 0
+        return -0.5 * float(counts.sum(axis=0)[known] @ np.log(variances()[known])) - float(seen @ np.log(units))
+
+    alike = loglik()
+    for _ in range(_ROUNDS):
+        before = units
+        units = np.sqrt(np.sum(squares / np.maximum(variances(), np.finfo(float).tiny), axis=1) / seen)
+        units = units / np.exp(seen @ np.log(units) / total)
+        if np.max(np.abs(units / before - 1)) < _SETTLED:
+            break
+    return units, loglik() - alike - 0.5 * (len(units) - 1) * float(np.log(total))
+
+
+def _squares(fit: FreeFit) -> tuple[Array, Array]:
+    """Squares of what a fit leaves of each experiment and output, in units of the data, and of how many samples.
+
+    Beside forces that is what the past does not foretell.
+    """
+    channels, size = fit.channels, (len(fit.channels), len(fit.scales))
+    squares, counts = np.zeros(size), np.zeros(size)
+    if fit.beside is not None:
+        for place, errors in enumerate(fit.beside.errors):
+            squares[place] = channels[place].unit ** 2 * np.sum(errors**2, axis=1)
+            counts[place] = errors.shape[1]
+        return squares, counts
+    places = experiments_of(fit.projection.experiments, channels)
+    rows = zip(fit.projection.experiments, fit.projection.predictions(), places.tolist(), strict=True)
+    for record, predicted, place in rows:
+        assert isinstance(record, FreeRecord)
+        residuals = record.residuals(predicted)
+        squares[place, record.outputs] += channels[place].unit ** 2 * np.sum(residuals**2, axis=1)
+        counts[place, record.outputs] += record.samples
+    return squares, counts
+
+
+def in_equal_noise(channels: Sequence[Any], fit: FreeFit) -> tuple[Recording, ...] | None:
+    """Recordings in units in which their noise is the same, if that is likelier; None where it is as they are."""
+    if is_long(channels):
+        return None
+    units, gain = noise_units(fit)
+    if gain <= TUNING.sure or all(
+        abs(u / channel.unit - 1) < _EQUAL for u, channel in zip(units, channels, strict=True)
+    ):
+        return None
+    return tuple(channel.adjusted(unit) for channel, unit in zip(channels, units.tolist(), strict=True))
+
+
+def outliers(residuals: Sequence[Signal], spare: int) -> tuple[tuple[int, ...], ...]:
+    """Samples of each of several experiments that noise with the scale of the others would hardly show anywhere.
+
+    Residuals are in units of the noise: real, or complex with real and imaginary parts of equal variance; NaN where
+    missing.  `spare` is the number of degrees of freedom: residuals, real and imaginary parts, less fitted parameters.
+    The scale of each experiment is estimated from the median of absolute residuals, of long records of a part, which
+    outliers do not move; the bound is Bonferroni's for so many t-distributed variables.
+    """
+    count = sum(
+        int(np.count_nonzero(~np.isnan(_parts(residual[part]))))
+        for residual in residuals
+        for part in blocks(len(residual))
+    )
+    if spare < _FEWEST:
+        return ((),) * len(residuals)
+    bound = float(t.isf(0.5 * _BY_CHANCE / count, _EFFICIENCY * spare / len(residuals)))
+    outlying = []
+    for residual in residuals:
+        few = np.abs(_parts(residual[:: 1 + len(residual) // LONG]))
+        scale = float(np.nanmedian(few)) / float(norm.isf(0.25)) * np.sqrt(count / spare) if len(few) else 0.0
+        far: list[int] = []
+        for part in blocks(len(residual)) if scale else ():
+            size = np.abs(_parts(residual[part]))
+            far += (part.start + np.flatnonzero(np.any(size > bound * scale, axis=1))).tolist()
+        outlying.append(tuple(far) if len(far) <= max(1, _SHARE * len(residual)) else ())
+    return tuple(outlying)
+
+
+def saturation(y: Signal) -> tuple[int, tuple[float, ...]]:
+    """How many samples of an output stay at an end of its range, and at which ends.
+
+    A sensor that is driven beyond its range repeats one value, more often than those next to it.  Of values of few
+    digits the next one is found as often, and nothing is said.
+    """
+    ends = np.array(
+        [[np.nanmin(y[part]), np.nanmax(y[part])] for part in blocks(len(y)) if not np.isnan(y[part]).all()]
+    )
+    if not len(ends):
+        return 0, ()
+    low, high = ends[:, 0].min(), ends[:, 1].max()
+    stuck = 0
+    limits: tuple[float, ...] = ()
+    for end in (low, high):
+        below = (np.abs(end - y[part]) for part in blocks(len(y)))
+        near = np.concatenate([distance[distance <= _NEAR[1] * (high - low)] for distance in below])
+        others = near[near > 0]
+        count = len(near) - len(others)
+        around = max(_NEAR[0] * (high - low), others.min(initial=np.inf))
+        held = count >= _REPEATED and len(others) and count > _OFTEN * np.count_nonzero(others <= around)
+        if held:
+            stuck, limits = stuck + count, (*limits, float(end))
+    return stuck, limits
+
+
+def _parts(residuals: NDArray[Any]) -> Array:
+    if np.iscomplexobj(residuals):
+        return np.stack([residuals.real, residuals.imag], axis=1)
+    return np.asarray(residuals, float)[:, None]
