@@ -93,7 +93,7 @@ FAULTS = (
     fault(f"{ID}/diagnosis/hum.py", "_LINE = 1e-6", "_LINE = 0.9", "hum"),
     fault(f"{ID}/diagnosis/noise_levels.py", "_BY_CHANCE = 1e-4", "_BY_CHANCE = 0.9", "frequency_fits", "real_noise"),
     fault(
-        f"{ID}/estimates/experiments.py",
+        f"{ID}/estimates/estimates.py",
         "(0.0, -1.0, -2.0)[power] + 0.5",
         "(0.0, 1.0, 2.0)[power] + 0.5",
         "unequal_noise",

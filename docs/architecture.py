@@ -15,7 +15,6 @@ FOLDERS = {
     "identification.many": "many recordings, tracking",
     "identification.fit": "pem and its result",
     "identification.change": "has the plant changed",
-    "identification.judge": "residuals, evidence, outcome",
     "identification.estimates": "parameters with errors",
     "identification.excitation": "what inputs show, test design",
     "identification.structure": "fits with a structure",
@@ -53,7 +52,7 @@ WAYS = {
         [
             "identification.fit", "identification.data", "identification.growth", "identification.regression",
             "identification.moves", "identification.diagnosis", "identification.structure",
-            "identification.estimates", "identification.judge", "identification.fit",
+            "identification.estimates", "identification.fit",
         ],
     ),
 }  # fmt: skip

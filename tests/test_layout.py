@@ -23,7 +23,7 @@ ORDER = (
     "identification.uncertainty", "identification.parameters", "identification.search",
     "identification.growth", "identification.moves",
     "identification.innovations", "identification.diagnosis", "identification.structure",
-    "identification.excitation", "identification.estimates", "identification.judge", "identification.change",
+    "identification.excitation", "identification.estimates", "identification.change",
     "identification.fit", "identification.many", "identification.validation", "cli", "cli.commands",
 )  # fmt: skip
 

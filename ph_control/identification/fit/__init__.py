@@ -1,1 +1,1 @@
-"""The prediction-error fit and its result."""
+"""The prediction-error fit, its result and the judgement of it."""

@@ -1,4 +1,7 @@
-"""A fit from top to bottom: the search for poles, the structure that stands, and the judgement of both."""
+"""A fit from top to bottom: the search for poles, the structure that stands, and the judgement of both.
+
+The result holds the numbers of the structure, and the judgement of these.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +12,19 @@ from typing import Any
 
 import numpy as np
 
+from ... import _checks
 from ..._heartbeat import reporter
 from ..._types import ComplexArray
 from ...exceptions import StructureError
 from ...modal.modal_form import imaginary
 from ..data.channels import Channels, Recording
 from ..diagnosis.alternatives import Searched, beside_disturbances
-from ..diagnosis.coloured_noise import beside_coloured_noise
+from ..diagnosis.coloured_noise import beside_coloured_noise, fitted_noise
 from ..diagnosis.verdict import WHITE
+from ..estimates.estimates import Estimates
 from ..innovations.forces import KINDS, beside_forces
 from ..moves.free_fit import free_fit, free_refinement
+from ..parameters.fitted_parameters import FittedParameters
 from ..regression.free import FreeProjection, Lateness, refine_free
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import is_short
@@ -26,12 +32,13 @@ from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit, Orders
 from ..structure.choice import Choice, Request, WithDelay, under_hold_and_delays
 from ..structure.hypothesis_tests import is_refused
+from ..uncertainty.noise_model import NoiseModel
 from ..uncertainty.residual_tests import is_white
-from .judged_result import judged
+from .judgement import Evidence, message_of
 from .options import Options
 from .outputs_alone import are_alone, of_outputs_alone
 from .pem_result import PEMResult
-from .result import cut_short
+from .result import OrderRow, cut_short
 
 
 def fit_channels(
@@ -215,15 +222,95 @@ def _chosen(
         best = Choice.of(free, request)
     except KeyboardInterrupt:
         cut = Choice.of(replace(free, interrupted=True), request)
-        return None, judged(cut, request, (*findings, *free.findings))
+        return None, _judged(cut, request, (*findings, *free.findings))
     try:
         best = under_hold_and_delays(best, request, with_delay)
-        return best, judged(best, request, _beside(findings, best.free))
+        return best, _judged(best, request, _beside(findings, best.free))
     except KeyboardInterrupt:
-        return None, cut_short(judged(best, request, _beside(findings, best.free)))
+        return None, cut_short(_judged(best, request, _beside(findings, best.free)))
 
 
 def _beside(findings: tuple[Finding, ...], free: FreeFit) -> tuple[Finding, ...]:
     """Findings of the data, those of the fit in place of others of the same cause."""
     anew = {finding.cause for finding in free.findings}
     return (*(finding for finding in findings if finding.cause not in anew), *free.findings)
+
+
+def _judged(choice: Choice, request: Request, findings: tuple[Finding, ...]) -> PEMResult:
+    """The result of a choice with a judgement; as of an interrupted fit if it is interrupted here."""
+    try:
+        return _result(Estimates(choice, request), findings)
+    except KeyboardInterrupt:
+        cut = replace(choice, free=replace(choice.free, interrupted=True))
+        return _result(Estimates(cut, request), findings)
+
+
+def _result(estimates: Estimates, findings: tuple[Finding, ...]) -> PEMResult:
+    """Parameters, experiments and judgement of a fit."""
+    free, fit, request, likelihood = estimates.free, estimates.fit, estimates.request, estimates.likelihood
+    evidence = Evidence.of(estimates, findings)
+    shapes, shape_stderr = estimates.shapes
+    delay, delay_stderr = estimates.delays
+    return PEMResult(
+        structure=fit.structure,
+        poles=estimates.poles,
+        residues=estimates.residues,
+        feedthrough=fit.feedthrough,
+        covariance=estimates.covariance,
+        shapes=shapes.shapes,
+        participation=shapes.participation,
+        shape_stderr=shape_stderr,
+        shapes_scaled=bool(shapes.scaled.all() and len(shapes.scaled)),
+        ports=request.ports,
+        quantities=request.quantities,
+        noise_variance=likelihood.noise_variance,
+        experiments=estimates.shown,
+        loss=likelihood.loss,
+        loglik=likelihood.loglik,
+        aic=likelihood.aic,
+        bic=likelihood.bic,
+        fit_percent=estimates.fit_percent,
+        unknowns=likelihood.unknowns,
+        whiteness=evidence.whiteness,
+        order_table=_order_table(estimates),
+        tests=estimates.tests,
+        findings=evidence.findings,
+        success=fit.converged and not free.interrupted,
+        outcome=evidence.outcome,
+        message=message_of(evidence),
+        intersample="zoh" if free.per_entry else free.intersample,
+        delay=delay,
+        delay_stderr=delay_stderr,
+        input_delay=free.input_delay,
+        method=free.method,
+        blind=bool(evidence.blind),
+        noise=_noise(estimates),
+        fitted_parameters=_parameters(estimates),
+    )
+
+
+def _parameters(estimates: Estimates) -> FittedParameters | None:
+    """Parameters of a system function, with the variance of the rows."""
+    physical = estimates.fit.physical
+    return physical and replace(physical, covariance=_checks.readonly(estimates.fit.variance * physical.covariance))
+
+
+def _order_table(estimates: Estimates) -> tuple[OrderRow, ...]:
+    """Loss and criteria of each order that was tried."""
+    samples = estimates.likelihood.samples
+    return tuple(
+        OrderRow(row.order, float(np.exp(-2 * row.loglik / samples - 1) / (2 * np.pi)), row.aic, row.bic,
+                 _checks.readonly(np.abs(row.poles)))
+        for row in estimates.free.order_table
+    )  # fmt: skip
+
+
+def _noise(estimates: Estimates) -> NoiseModel | None:
+    """Noise of the outputs at the samples; None of frequency responses."""
+    free, likelihood = estimates.free, estimates.likelihood
+    if free.beside is not None:
+        return free.beside.model(free.channels[0].dt)
+    filters = () if estimates.rounding else free.filters or free.noise
+    return fitted_noise(
+        estimates.experiments, likelihood.noise_variance, filters, likelihood.spare / likelihood.samples
+    )

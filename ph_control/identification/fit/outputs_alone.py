@@ -22,13 +22,13 @@ from ..estimates.scaled_shapes import ModeShapes, shape_errors
 from ..innovations.ambient import AmbientFit, AmbientOrder, ambient_fit, shapes_of
 from ..innovations.forces import FittedNoise
 from ..innovations.noise_sections import NoiseSections
-from ..judge.evidence import rejections
 from ..regression.prediction import FittedChannels, FittedExperiment, joint_percent, natural_jacobian, shares_left
 from ..regression.tuning import TUNING
 from ..search.findings import Cause, Finding, sentences_of
 from ..structure.choice import Request
 from ..structure.hypothesis_tests import LEVEL
 from ..uncertainty.residual_tests import ljung_box
+from .judgement import rejections
 from .options import Options
 from .pem_result import PEMResult
 from .result import OrderRow
