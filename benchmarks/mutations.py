@@ -82,8 +82,8 @@ FAULTS = (
         "long_steps",
         "response",
     ),
-    fault(f"{ID}/change/multiple_tests.py", "/ np.sqrt(2.0)", "/ 2.0", "change"),
-    fault(f"{ID}/change/cumulative_sum.py", "0.5 * (edges[1:] + edges[:-1])", "edges[1:]", "change"),
+    fault(f"{ID}/change/mode_comparison.py", "/ np.sqrt(2.0)", "/ 2.0", "change"),
+    fault(f"{ID}/many/control_chart.py", "0.5 * (edges[1:] + edges[:-1])", "edges[1:]", "change"),
     fault(
         f"{ID}/data/frequency_record.py",
         "0.5 * (relation - covariance)",

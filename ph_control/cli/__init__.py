@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Sequence
@@ -10,8 +11,11 @@ from typing import Any
 
 import ph_control as phc
 
+from ..exceptions import MissingPackageError, StructureError
 from .options import Parser
 from .outcome import EXIT_CODES, emit, guarded
+
+_FILES = ("FILE", "MODEL", "RECORDING", "FOLDER")  # metavariables of arguments that are paths
 
 COMMANDS = {
     "demo": "identify three known plants from simulated recordings",
@@ -62,9 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(words: list[str]) -> int:
     if words[:1] == ["--print-completion"]:
-        from .completion import completion_script
-
-        emit(completion_script(words[1:], COMMANDS, _module))
+        emit(_completion_script(words[1:]))
         return 0
     place = next((k for k, word in enumerate(words) if not word.startswith("-")), len(words))
     command: str = _parser().parse(words[: place + 1]).command
@@ -73,6 +75,29 @@ def _run(words: list[str]) -> int:
     module.add_options(parser)
     code: int = module.run(parser.parse(_plain(words[place + 1 :])))
     return code
+
+
+def _completion_script(words: Sequence[str]) -> str:
+    """Script for the shell that `words` names, with the options of all commands."""
+    try:
+        import shtab
+    except ImportError:
+        raise MissingPackageError(
+            "completion needs shtab, which is not installed: pip install 'ph_control[completion]'"
+        ) from None
+    if len(words) != 1 or words[0] not in shtab.SUPPORTED_SHELLS:
+        shells = ", ".join(shtab.SUPPORTED_SHELLS)
+        raise StructureError(f"--print-completion takes the name of a shell, one of {shells}")
+    parser = argparse.ArgumentParser(prog="ph-control", description="modes and port-Hamiltonian models")
+    parser.add_argument("--version", action="version", version="")
+    subparsers = parser.add_subparsers(dest="command")
+    for command, text in COMMANDS.items():
+        own = subparsers.add_parser(command, help=text, description=text)
+        _module(command).add_options(own)
+        for action in own._actions:
+            if action.choices is None and str(action.metavar).upper() in _FILES:
+                action.complete = shtab.FILE  # type: ignore[attr-defined]
+    return str(shtab.complete(parser, shell=words[0])) + "\n"
 
 
 def _module(command: str) -> Any:

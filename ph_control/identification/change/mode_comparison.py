@@ -1,4 +1,7 @@
-"""Two fits side by side: modes paired by frequency and shape, and what has shifted beyond its error."""
+"""Two fits side by side: modes paired by frequency and shape, and what has shifted beyond its error.
+
+The p-values of several tests are judged together.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,13 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.special import erfc
 
 from ... import _checks
 from ..._display import Report, aligned, counted, starred, with_error
 from ..._frozen import Frozen
 from ..._types import Array, Indices, Mask
 from ..._units import common_unit, hertz_size, rate
-from .multiple_tests import holm, two_sided
 
 _FACTOR = 2.0  # by which real poles that are a pair may differ
 
@@ -249,3 +252,23 @@ def _over_errors(values: Array, errors: Array) -> Array:
     error = np.hypot(errors[:, 0], errors[:, 1])
     known = np.isfinite(error) & (error > 0)
     return np.where(known, (values[:, 1] - values[:, 0]) / np.where(known, error, 1.0), np.nan)
+
+
+def holm(p: Array) -> Array:
+    """Adjust p-values (k,) by the method of Holm; NaN stands for no test and stays.
+
+    To reject where the adjusted value is below a level keeps the probability of any false rejection below that level,
+    however the tests depend on one another.
+    """
+    p = np.asarray(p, float)
+    adjusted = np.full(p.shape, np.nan)
+    tested = np.flatnonzero(~np.isnan(p))
+    order = tested[np.argsort(p[tested], kind="stable")]
+    factors = np.arange(len(order), 0, -1.0)
+    adjusted[order] = np.minimum(np.maximum.accumulate(factors * p[order]), 1.0)
+    return adjusted
+
+
+def two_sided(z: Array) -> Array:
+    """Probability that a standard normal variable is at least as far from 0 as z."""
+    return np.asarray(erfc(np.abs(z) / np.sqrt(2.0)))

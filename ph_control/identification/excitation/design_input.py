@@ -1,4 +1,7 @@
-"""The input of a test that shows what it is made for best: its spectrum, a signal of it, and what that will show."""
+"""The input of a test that shows what it is made for best: its spectrum, a signal of it, and what that will show.
+
+The signal is a sum of sines with a low peak factor: phases by rounds of clipping.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,12 @@ import numpy as np
 from ... import _checks
 from ..._display import Report, aligned, counted, to_its_error
 from ..._frozen import Frozen, ReadOnlyMapping
-from ..._types import Array, ArrayLike, Indices
+from ..._types import Array, ArrayLike, ComplexArray, Indices
 from ..._units import rate
 from ...exceptions import StructureError
 from ...modal.discretization import Hold
 from ..uncertainty.fisher import Information, listed
 from ..uncertainty.noise_model import NoiseModel
-from .multisine import low_peak_multisine
 from .optimal_spectrum import SpectrumProblem
 from .planned_plant import PlannedPlant, standard_errors
 from .plant_information import line_sensitivities, plant_information
@@ -31,6 +33,12 @@ _ON_THE_WAY = (2, 4, 8, 16, 32, 64)  # updates of the spectra that are tried whe
 _ALIKE = 1e-6  # relative difference of the ratios of powers of inputs that are what was assumed
 _TRIAL = 0.2  # of the effort for the signal, while spectra are compared
 _LOWEST_POWER = 1e-6  # of an input: lines with less are left out of the signal
+
+_ROUNDS = 800  # of clipping, from each start
+_WORK = 8e6  # samples of all rounds from a start, of a long signal
+_FEWEST_ROUNDS = 60
+_STARTS = 3  # sets of phases: Schroeder's, and random ones
+_CLIP = (0.70, 0.98)  # of the peak that is kept, in the first and the last round
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -341,7 +349,7 @@ class _Lines:
         for i in range(len(limits.rms)):
             mine = (self.inputs == i) & (power > _LOWEST_POWER * power[self.inputs == i].sum())
             share = power[mine] / power[mine].max()
-            signals.append(limits.scaled(low_peak_multisine(share, self.bins[mine], self.samples, effort), i))
+            signals.append(limits.scaled(_low_peak_multisine(share, self.bins[mine], self.samples, effort), i))
         return np.stack(signals)
 
     def powers(self, signal: Array) -> Array:
@@ -425,3 +433,37 @@ def _refuse_unseen(problem: SpectrumProblem, plant: PlannedPlant, purpose: str) 
             f"not tell {listed([combination.words for combination in information.blind][:3])} from one another; widen "
             "the band, take more samples, or leave out modes that no input reaches"
         )
+
+
+def _low_peak_multisine(power: Array, lines: Indices, samples: int, effort: float = 1.0) -> Array:
+    """Signal (samples,) whose Fourier frequencies `lines` have these mean powers; `effort` is a part of all rounds.
+
+    Each round clips the peaks, keeps the phases of what is left, and restores the powers (van der Ouderaa, Schoukens
+    and Renneboog, 1988); the signal of the lowest peak of all is returned.
+    """
+    rounds = int(max(_FEWEST_ROUNDS, effort * min(_ROUNDS, _WORK / samples)))
+    amplitudes = samples * np.sqrt(0.5 * power)
+    rng, best, lowest = np.random.default_rng(0), np.zeros(samples), np.inf
+    starts = [_schroeder(power), *(2 * np.pi * rng.random(len(lines)) for _ in range(_STARTS - 1))]
+    for phases in starts:
+        spectrum = amplitudes * np.exp(1j * phases)
+        for keep in np.linspace(*_CLIP, rounds):
+            signal = _synthesised(spectrum, lines, samples)
+            peak = float(np.abs(signal).max())
+            if peak < lowest:
+                best, lowest = signal, peak
+            turned = np.fft.rfft(np.clip(signal, -keep * peak, keep * peak))[lines]
+            spectrum = amplitudes * np.exp(1j * np.angle(turned))
+    return best
+
+
+def _schroeder(power: Array) -> Array:
+    """Phases of a sweep with this spectrum (Schroeder, 1970)."""
+    share = np.concatenate([[0.0], np.cumsum(power)[:-1]]) / power.sum()
+    return np.asarray(-2 * np.pi * np.cumsum(share))
+
+
+def _synthesised(spectrum: ComplexArray, lines: Indices, samples: int) -> Array:
+    whole = np.zeros(samples // 2 + 1, complex)
+    whole[lines] = spectrum
+    return np.asarray(np.fft.irfft(whole, samples))

@@ -21,10 +21,10 @@ from ..data.experiments import as_channels
 from ..uncertainty.fisher import Information, listed, named_modes
 from ..uncertainty.noise_model import NoiseModel
 from .excited_band import ExcitedBand, excited_band
-from .of_information import OfInformation
 from .planned_plant import PlannedPlant
 from .plant_information import RecordSensitivities, plant_information
 from .remedy import multisine
+from .report import OfInformation
 
 _MARGIN = (0.5, 1.25)  # of the lowest and highest frequency: the band of an input that is tried instead
 _FEW = 3  # combinations or poles described one by one

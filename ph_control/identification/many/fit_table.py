@@ -14,8 +14,7 @@ from ..._display import Report, aligned, counted, with_error
 from ..._frozen import Frozen
 from ..._types import ComplexArray, NDArray
 from ...exceptions import MissingPackageError, StructureError
-from .control_chart import ControlChart
-from .recording_scores import chart_of_recordings
+from .control_chart import ControlChart, chart_of_recordings
 from .recordings import Modes
 from .tracking import ModeTracks, followed
 
