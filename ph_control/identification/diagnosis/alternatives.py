@@ -25,6 +25,7 @@ _MOST_TONES = 20  # times that more tones are looked for
 _MUCH = 0.2  # of the power that is left: a line where modes may be missing
 _SAME_LEVEL = 0.02  # mean difference of the logarithms of levels of noise that are the same
 
+# forces of a hammer
 _CLEAR = 100.0  # of the noise: the peak of a hit
 _SEEN = 6.0  # of the noise: samples of a contact
 _SHORT = 0.02  # of a record: all its contacts

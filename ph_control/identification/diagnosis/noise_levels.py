@@ -23,6 +23,7 @@ from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from ..search.whitening import foretold
 
+# noise that changes within a recording
 _PIECE = 16  # samples that are looked at together
 _PIECES = 600  # of a recording, at most
 _SHORTEST = 2  # pieces of a span
@@ -37,10 +38,12 @@ _LOG_VARIANCE = np.pi**2 / 2  # of the logarithm of its square
 
 Spans = list[tuple[int, int]]
 
+# experiments of different quality
 _ROUNDS = 20  # of the noise of outputs and of experiments in turn
 _SETTLED = 1e-3  # relative change
 _EQUAL = 0.02  # relative difference of units beyond which a fit is repeated
 
+# samples that stand out, and those at an end of a range
 _BY_CHANCE = 1e-4  # probability that noise alone shows one anywhere
 _FEWEST = 20  # residuals to spare below which nothing is said
 _SHARE = 0.03  # of the samples: with more of them the noise has another distribution, or another level in places

@@ -34,6 +34,7 @@ _ALIKE = 1e-6  # relative difference of the ratios of powers of inputs that are 
 _TRIAL = 0.2  # of the effort for the signal, while spectra are compared
 _LOWEST_POWER = 1e-6  # of an input: lines with less are left out of the signal
 
+# phases of a signal with a low peak factor
 _ROUNDS = 800  # of clipping, from each start
 _WORK = 8e6  # samples of all rounds from a start, of a long signal
 _FEWEST_ROUNDS = 60

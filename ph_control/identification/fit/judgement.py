@@ -39,10 +39,13 @@ _HALF = 0.05  # of half a sample: what a delay may differ from it by
 _OPPOSED = 0.7  # cosine of the angle within which a residue points against the force
 _FEW = 20  # samples beyond the unknowns, with fewer of which nothing can be judged
 
+# poles in words
 _CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
 
+# residuals
 _COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
 
+# mistakes in the choice of columns
 _SAME = 1e-12  # share of the power by which two columns may differ, as rounding in print makes them
 _BROAD = 0.4  # flatness of the spectrum of a test signal
 _RESONANT = 4.0  # times flatter than what answers to it

@@ -34,9 +34,11 @@ if TYPE_CHECKING:
 
 _SHOWN = 40  # lines of a table, beyond which its middle is left out
 
+# the limit of a chart
 _CELLS = 80  # of the sizes up to the limit
 _ROUNDS = 60  # of a bisection
 
+# the picture
 _NAMED = 8  # modes up to which there is a legend
 _BARS = float(ndtri(0.975))
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _TREND = 5  # recordings of a mode from which on they have a trend
 
+# the picture
 _MARKED = 60  # recordings up to which each has a marker
 _NAMED = 8  # modes up to which there is a legend
 _PANELS = 5  # of frequencies

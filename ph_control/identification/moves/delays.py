@@ -45,6 +45,7 @@ _NEAR = 3  # samples, by which a delay may be another for the poles that were fo
 _LAGS = 6  # of different rates, with which delays are looked for
 _TOGETHER = 64  # outputs of a record, about: products of more of them with one another cost more than they spare
 
+# lags that come late
 _SAMPLES = 20_000  # of each record that are looked at
 _RATES = 16  # of late lags, from the slowest to the fastest
 _EACH = 3  # of these is looked at first

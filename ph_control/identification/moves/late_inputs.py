@@ -38,6 +38,7 @@ _SCANS = 3  # searches with the delays that the last one says
 _ROWS = 100  # of the covariance of a predictor
 _LAGS = 4  # of different rates, with which delays are looked for
 
+# the comparison of dead times
 _TURNS = 8  # of all inputs
 _ROUNDS = 3  # of dead times and noise in turn
 _SAMPLES = 3000  # of each record that are looked at

@@ -43,6 +43,7 @@ from ..search.path import FreePath
 from ..uncertainty.residual_tests import is_white
 from .assumptions import Assumptions, Fit, Search, alone
 
+# noise of the gain
 _ROUNDS = 8  # of fit and law in turn
 SETTLED = 1e-3  # relative change of the weights
 _RATIOS = 25  # of a to b that are tried first,
@@ -52,6 +53,7 @@ _TURNS = 30  # of a fixed point, at most
 _MANY = 1 << 13  # points that a law is estimated from, at most about
 _SAME = 1e-12  # relative change at which it is found
 
+# errors of a window
 _CURVED = 0.1  # of the second differences of a response: errors of its peaks before they are known
 _RIDGE = 1e-12  # of unit columns that may be alike
 _LEAST = 1e-12  # of the largest motion: what of it is rounding
@@ -60,6 +62,7 @@ _ALL = 0.01  # noise beside motion, or motion beside noise, that does not count
 
 Place = tuple[int, int]  # an experiment and a line of it
 
+# lines in error
 _ABOUT = 4  # lines on either side, whose median a wild line is so many times as large as
 _WILD = 20.0
 _HARDLY_MORE = 4.0  # times the squares that a fit without some lines leaves

@@ -22,6 +22,7 @@ _WELL_CONDITIONED = 1e6  # entries of the inverse of a factor of unit columns, a
 
 Blocks = Callable[[], Iterable[Array]]
 
+# triangular factors
 _SMALL = 1 << 15  # numbers up to which Householder reflections cost next to nothing
 _PASSES = 3
 _LEAST_DIAGONAL = 0.01  # smallest diagonal of a factor of unit columns: its Gram matrix then loses four digits

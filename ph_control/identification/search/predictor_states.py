@@ -19,6 +19,7 @@ _RANK = 1e-10  # of a variance: what cannot be told from rounding
 _CHANCE = 1e-6  # probability of what inputs that do nothing foretell
 _SAMPLES_EACH = 10  # of the records for each sample of the past of each signal
 
+# late outputs
 _ROWS = 100  # of a covariance
 _SHARE = 10  # of the shortest record: no delay is longer
 _LONGEST = 1000  # samples

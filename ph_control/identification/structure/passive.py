@@ -34,9 +34,11 @@ _FAR = 1e3  # squared distance in standard errors beyond which there is no need 
 _SETTLED = 1e-3  # change of the squared distance in standard errors, at the last
 _SHOWN = 1e-2  # of the largest eigenvalue of the correlations of active constraints: below, two are one
 
+# worst frequencies
 _ABOUT = 57  # points about each pole
 _ZOOMS = 4  # towards a minimum between three points, to a hundredth of their distance squared
 
+# the least distance
 _EMPTY = 1e-12  # of a unit vector: a rest so small says that no point meets the constraints
 
 

@@ -33,8 +33,8 @@ _PIECE = 512  # samples of a few columns that fit in the cache
 _ROWS = 1 << 13  # of a regression that are made at a time
 _TOGETHER = 1 << 22  # numbers in shifted inputs that are transformed at a time
 
+# residuals and the directions that were fitted
 _RANK = 1e-8  # relative size of directions that a regression counts
-
 _REACH = 6.0  # times the median size, 4 standard deviations of normal noise
 _QUIETEST = 1e-6  # noise of a record beside that of the loudest
 _CACHED = 1 << 17  # numbers that fit in the cache
