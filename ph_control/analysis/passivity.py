@@ -193,7 +193,7 @@ def _report(sys: Any, kind: PortKind) -> PassivityReport:
     if in_normal_form(sys) and not sys._integrated and kind == "immittance":
         # all its poles are on the axis, and beside them it neither takes nor gives energy
         m, none = sys.ninputs, np.zeros
-        beside = Passivity(none((0, 0)), none((0, m)), none((m, 0)), none((m, m)), scattering=False)
+        beside = Passivity((none((0, 0)), none((0, m)), none((m, 0)), none((m, m))), scattering=False)
         return PassivityReport(kind, [], none(0), none(0), 0.0, none(0, complex), beside)
     improper = isinstance(sys, ct.TransferFunction) and sys.isctime()
     plain, L = split_infinity(sys) if improper else (sys, np.zeros((0, 0)))
@@ -211,7 +211,7 @@ def _judged(matrices: Matrices, L: Array, kind: str, certain: bool) -> Passivity
     scattering = kind == "scattering"
     if L.any():
         split = replace(split, axis=[*split.axis, (np.inf, np.asarray(L, complex))])
-    whole = Passivity(*split.rest, D, scattering=scattering, given=matrices)
+    whole = Passivity((*split.rest, D), scattering=scattering, given=matrices)
     if certain:
         least = max(whole.margin(), 0.0)
         return PassivityReport(kind, [], np.zeros(0), np.zeros(0), least, np.zeros(0, complex), whole)

@@ -90,13 +90,13 @@ class Passivity:
     """The smallest eigenvalue of `Phi` of a stable system, and the bands in which it is negative."""
 
     def __init__(
-        self, A: Array, B: Array, C: Array, D: Array, *, scattering: bool, given: Matrices | None = None,
-        error: ResponseError | None = None,
-    ) -> None:  # fmt: skip
-        self.matrices, self.scattering = (A, B, C, D), scattering
+        self, matrices: Matrices, *, scattering: bool, given: Matrices | None = None, error: ResponseError | None = None
+    ) -> None:
+        self.matrices, self.scattering = matrices, scattering
         # those that were given, with what was split off: their rounding decides
-        self.given = self.matrices if given is None else given
+        self.given = matrices if given is None else given
         self.error = error  # of the response they were computed with, beyond that
+        A, B, C, D = matrices
         self.modes = from_matrices(A, B, C, D.copy())
 
     def smallest(self, omega: ArrayLike) -> tuple[Array, Array]:

@@ -189,7 +189,7 @@ def touching_frequencies(A: Array, B: Array, C: Array, D: Array, singular: Array
     """Frequencies, infinity and 0 among them, at which the rank of `G + G^H` may fall."""
     if not len(A):
         return [np.inf]
-    tested = Passivity(A, B, C, D, scattering=False)
+    tested = Passivity((A, B, C, D), scattering=False)
     if singular is not None:
         tested.singular = singular
     grid = tested._grid()

@@ -114,13 +114,13 @@ def fit_plot(
         return time.plot(**{name: value for name, value in options.items() if value is not None or name == "detail"})
     if measured is None or predicted is None:
         raise StructureError("pass the time, the measured and the predicted output, or the result of a fit alone")
-    outputs = _checked(time, measured, predicted)
+    name = "predicted" if fit_percent is None else f"predicted (fit {percent(fit_percent)})"
+    outputs = _checked(time, measured, predicted, name)
     part = outputs.part(detail, ax)
     output = output_label or "Output"
     residual = plain(f"Residual\n[{output_unit}]") if output_unit else "Residual"
-    name = "predicted" if fit_percent is None else f"predicted (fit {percent(fit_percent)})"
     with look.context():
-        drawn = _drawn(look, ax, outputs, part, [name], (labelled(output, output_unit), residual), time_unit, 1.7)
+        drawn = _drawn(look, ax, outputs, part, (labelled(output, output_unit), residual), time_unit, 1.7)
         drawn.lines[1, 0] = _draw_errors(drawn.axes[1, 0], outputs, [{"color": "C3", "label": "residual"}])
         size = plain(f"RMS {np.sqrt(np.nanmean(outputs.errors**2)):.3g} {output_unit or ''}".strip())
         corner = {"ha": "right", "va": "bottom", "fontsize": mpl.rcParams["legend.fontsize"]}
@@ -151,10 +151,10 @@ def comparison_plot(
     `predicted` has shape (k, T); the other arguments are those of `fit_plot`.
     """
     look = Look.of(style, FrameStyle)
-    outputs = Outputs(time, measured, predicted)
+    outputs = Outputs(time, measured, predicted, labels)
     quantities = labelled(output_label, output_unit), labelled("Error", output_unit)
     with look.context():
-        drawn = _drawn(look, ax, outputs, outputs.part(detail, ax), labels, quantities, time_unit, 2.0)
+        drawn = _drawn(look, ax, outputs, outputs.part(detail, ax), quantities, time_unit, 2.0)
         styles = [{**line_of_model(k), "label": plain(label)} for k, label in enumerate(labels)]
         drawn.lines[1, 0] = _draw_errors(drawn.axes[1, 0], outputs, styles)
         return drawn.finished(heading)
@@ -170,11 +170,12 @@ def line_of_model(k: int) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Outputs:
-    """Measured output, shape (T,), NaN where missing, and those of models, shape (k, T)."""
+    """Measured output, shape (T,), NaN where missing, and those of models, shape (k, T), with their labels."""
 
     time: Array
     measured: Array
     predicted: Array
+    labels: Sequence[str]
 
     @property
     def errors(self) -> Array:
@@ -183,7 +184,7 @@ class Outputs:
 
     def cut(self, part: slice) -> Outputs:
         """Some of the samples."""
-        return Outputs(self.time[part], self.measured[part], self.predicted[:, part])
+        return Outputs(self.time[part], self.measured[part], self.predicted[:, part], self.labels)
 
     def part(self, detail: Any, ax: AxesGiven) -> slice | None:
         """Samples to enlarge; with axes of one's own, only if there is one for them."""
@@ -226,7 +227,7 @@ class Outputs:
         return slice(start, stop)
 
 
-def _checked(time: ArrayLike, measured: ArrayLike, predicted: ArrayLike) -> Outputs:
+def _checked(time: ArrayLike, measured: ArrayLike, predicted: ArrayLike, label: str) -> Outputs:
     t = _checks.real_array("the time", time, 1)
     y = _checks.real_array("the measured output", measured, 1, missing=True)
     p = _checks.real_array("the predicted output", predicted, 1, missing=True)
@@ -242,15 +243,15 @@ def _checked(time: ArrayLike, measured: ArrayLike, predicted: ArrayLike) -> Outp
         )
     if not np.isfinite(y - p).any():
         raise StructureError("no sample has a measured and a predicted output; there is nothing to compare")
-    return Outputs(t, y, p[None])
+    return Outputs(t, y, p[None], [label])
 
 
 # --- drawing ---------------------------------------------------------------------------------------------------------
 
 
 def _drawn(
-    look: Look, ax: AxesGiven, outputs: Outputs, part: slice | None, names: Sequence[str], quantities: tuple[str, str],
-    time_unit: str | None, below: float,
+    look: Look, ax: AxesGiven, outputs: Outputs, part: slice | None, quantities: tuple[str, str], time_unit: str | None,
+    below: float,
 ) -> Picture:  # fmt: skip
     """Outputs above, the frame of their errors, and the part that is enlarged; labels and grids of all."""
     heights = [3.0, below] + [3.0] * (part is not None)
@@ -259,10 +260,10 @@ def _drawn(
         meaning="the record above its errors, and the detail",
     )  # fmt: skip
     axes = drawn.axes[:, 0]
-    drawn.lines[0, 0] = draw_outputs(axes[0], outputs, names, MEASURED)
+    drawn.lines[0, 0] = draw_outputs(axes[0], outputs, MEASURED)
     if part is not None:
         axes[0].axvspan(outputs.time[part][0], outputs.time[part][-1], color="0.85", zorder=0)
-        drawn.lines[2, 0] = draw_outputs(axes[2], outputs.cut(part), names, SAMPLES)
+        drawn.lines[2, 0] = draw_outputs(axes[2], outputs.cut(part), SAMPLES)
         if ax is None:
             axes[2].ticklabel_format(axis="x", useOffset=False)
         axes[2].set_title(_SHADED, loc="left")
@@ -274,10 +275,10 @@ def _drawn(
     return drawn
 
 
-def draw_outputs(axis: Axes, outputs: Outputs, names: Sequence[str], measured: dict[str, Any]) -> list[Any]:
+def draw_outputs(axis: Axes, outputs: Outputs, measured: dict[str, Any]) -> list[Any]:
     """Measured output with those of models over it."""
     lines = axis.plot(*extremes(outputs.time, outputs.measured), label="measured", zorder=2, **measured)
-    for k, (name, values) in enumerate(zip(names, outputs.predicted, strict=True)):
+    for k, (name, values) in enumerate(zip(outputs.labels, outputs.predicted, strict=True)):
         properties = {"linewidth": 1.1, "zorder": 3, **line_of_model(k)}
         lines += axis.plot(*extremes(outputs.time, values), label=plain(name), **properties)
     axis.set_xlim(outputs.time[0], outputs.time[-1])

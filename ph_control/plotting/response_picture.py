@@ -437,7 +437,9 @@ def draw_part(axis: Axes, responses: DrawnResponses, part: str, i: int, j: int, 
     values, dots = responses.values(part, i, j, scale)
     if part in CARTESIAN:
         axis.axhline(0.0, **ZERO)
-    lines = _draw_curves(axis, responses, part, values, i, j, look, scale)
+    lines = _draw_curves(axis, responses, part, values, i, j, look)
+    if part in POLAR:
+        _draw_bands(axis, responses, lines, part, i, j, scale)
     lines += _draw_dots(axis, responses, dots, i)
     if part == "magnitude":
         _magnitude_range(axis, responses, i, j, scale)
@@ -448,9 +450,9 @@ def draw_part(axis: Axes, responses: DrawnResponses, part: str, i: int, j: int, 
 
 
 def _draw_curves(
-    axis: Axes, responses: DrawnResponses, part: str, values: list[Array], i: int, j: int, look: Look, scale: Scale
+    axis: Axes, responses: DrawnResponses, part: str, values: list[Array], i: int, j: int, look: Look
 ) -> list[Any]:
-    """Curves, medians where they close to a block, and bands around them."""
+    """Curves, and medians where they close to a block."""
     lines: list[Any] = []
     unit = responses.axis.unit
     for k, (curve, value) in enumerate(zip(responses.curves, values, strict=True)):
@@ -478,15 +480,23 @@ def _draw_curves(
             omega, middle = curve.typical(value, responses.axis)
             label = plain(f"{curve.label}: median where resonances are closer than dots")
             axis.plot(omega / unit, middle, label=label, color=lines[-1].get_color(), linewidth=1.6, zorder=3.1)
+    return lines
+
+
+def _draw_bands(
+    axis: Axes, responses: DrawnResponses, lines: list[Any], part: str, i: int, j: int, scale: Scale
+) -> None:
+    """Confidence bands of magnitude or phase, in the colours of their curves."""
     for curve, line in zip(responses.curves, lines, strict=True):
-        if (i, j) in curve.bands and part in POLAR:
+        if (i, j) in curve.bands:
             band = curve.bands[i, j]
             ends = (
                 scale.gain(band.magnitude) if part == "magnitude"
                 else scale.angle * curve.phase_band(i, j, unwrap=not scale.wrap)
             )  # fmt: skip
-            axis.fill_between(band.omega / unit, *ends, label=plain(band.label), color=line.get_color(), **BAND)
-    return lines
+            axis.fill_between(
+                band.omega / responses.axis.unit, *ends, label=plain(band.label), color=line.get_color(), **BAND
+            )
 
 
 def _draw_dots(axis: Axes, responses: DrawnResponses, dots: list[Array], i: int) -> list[Any]:

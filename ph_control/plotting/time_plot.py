@@ -114,8 +114,11 @@ def step_plot(
     ('v [m/s]', 'Time', 'Step response of chain')
     >>> plt.close(plot.figure)
     """
-    options = {"confidence": confidence, "level": level, "data": data, "label": label, "data_label": data_label}
-    return _transient_plot("step", sysdata, timepts, timepts_num, options, time_unit, output_unit, ax, style)
+    options = {
+        "timepts": timepts, "timepts_num": timepts_num, "confidence": confidence, "level": level, "data": data,
+        "label": label, "data_label": data_label,
+    }  # fmt: skip
+    return _transient_plot("step", sysdata, options, time_unit, output_unit, ax, style)
 
 
 def impulse_plot(
@@ -154,16 +157,19 @@ def impulse_plot(
     4.0
     >>> plt.close(plot.figure)
     """
-    options = {"confidence": confidence, "level": level, "data": data, "label": label, "data_label": data_label}
-    return _transient_plot("impulse", sysdata, timepts, timepts_num, options, time_unit, output_unit, ax, style)
+    options = {
+        "timepts": timepts, "timepts_num": timepts_num, "confidence": confidence, "level": level, "data": data,
+        "label": label, "data_label": data_label,
+    }  # fmt: skip
+    return _transient_plot("impulse", sysdata, options, time_unit, output_unit, ax, style)
 
 
 def _transient_plot(
-    kind: str, sysdata: Any, timepts: Any, timepts_num: Any, options: Mapping[str, Any], time_unit: str | None,
-    output_unit: str | None, ax: AxesGiven, style: Mapping[str, Any],
+    kind: str, sysdata: Any, options: Mapping[str, Any], time_unit: str | None, output_unit: str | None, ax: AxesGiven,
+    style: Mapping[str, Any],
 ) -> ct.ControlPlot:  # fmt: skip
     look = Look.of(style)
-    numbers = transient_data(sysdata, kind, timepts, timepts_num, **options)
+    numbers = transient_data(sysdata, kind, **options)
     time_unit = unit_for(time_unit, sysdata, options["data"])
     rows, columns = len(numbers.output_labels), len(numbers.input_labels)
     with look.context():

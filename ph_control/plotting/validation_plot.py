@@ -156,16 +156,16 @@ def channel_comparison_plot(
         # of the output that is explained worst
         share = np.nanmean(np.abs(measured - predicted) ** 2, axis=(0, 2)) / np.nanvar(measured, axis=1)
         worst = int(np.nanargmax(share[:count]))
-        part = Outputs(abscissa, measured[worst], predicted[:, worst]).part(detail, None)
+        part = Outputs(abscissa, measured[worst], predicted[:, worst], labels).part(detail, None)
     with look.context():
         drawn = panels(look, ax, count, (3.6, 2.2), sharex=ax is None)
         for k, axis in enumerate(drawn.axes.flat[:count]):
             if responses is not None:
                 lines = draw_part(axis, responses, "magnitude", k, 0, look, Scale())
             else:
-                outputs = Outputs(abscissa, measured[k], predicted[:, k])
+                outputs = Outputs(abscissa, measured[k], predicted[:, k], labels)
                 outputs, dots = (outputs, MEASURED) if part is None else (outputs.cut(part), SAMPLES)
-                lines = draw_outputs(axis, outputs, labels, dots)
+                lines = draw_outputs(axis, outputs, dots)
                 look.lattice(axis)
             drawn.lines.flat[k] = lines
             axis.set_title(plain(names[k]), loc="left", fontsize="small")

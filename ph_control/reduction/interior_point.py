@@ -88,7 +88,7 @@ class FixedPoles:
 
     def is_passive(self, C: Array, D: Array) -> bool:
         """Whether a model is passive by the exact test."""
-        return not Passivity(self.A, self.B, C, D, scattering=self.scattering).bands()
+        return not Passivity((self.A, self.B, C, D), scattering=self.scattering).bands()
 
 
 def closest_passive(family: FixedPoles, C: Array, D: Array, covariance: Array | None = None) -> Closest:

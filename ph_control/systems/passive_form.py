@@ -231,7 +231,7 @@ def _refuse_active(split: Split, given: PortRows, refusal: NotLosslessError | No
     matrices = given.A, given.B, given.C[:m], D
     tested = None
     if not len(split.unstable):
-        tested = Passivity(*ports.rest, D, scattering=False, given=matrices, error=given.error)
+        tested = Passivity((*ports.rest, D), scattering=False, given=matrices, error=given.error)
     bands = violations(ports, tested, scattering=False)
     if not bands and tested is not None:
         return tested.singular
@@ -252,7 +252,7 @@ def _signs(split: Split, given: Matrices) -> tuple[int, ...]:
         A, B, C = split.rest
         turned = Split([(w, signs[:, None] * K) for w, K in split.axis], split.rest, split.unstable)
         matrices = *given[:2], signs[:, None] * given[2], signs[:, None] * D
-        tested = Passivity(A, B, signs[:, None] * C, matrices[3], scattering=False, given=matrices)
+        tested = Passivity((A, B, signs[:, None] * C, matrices[3]), scattering=False, given=matrices)
         if all(is_positive(K) for _, K in turned.axis) and tested.is_passive():
             return tuple(int(sign) for sign in signs)
     return ()

@@ -49,6 +49,10 @@ class DrivenPart:
     derivatives: ComplexArray
     own: int
 
+    def at_bins(self, bins: slice) -> DrivenPart:
+        """The same in some of the bins."""
+        return replace(self, columns=self.columns[:, bins], derivatives=self.derivatives[:, bins])
+
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
@@ -352,8 +356,9 @@ class LikelihoodEvaluation:
                 z, e = experiment.z[bins], errors[:, bins]
                 W, seen = self._whitening(z)
                 J = np.zeros((len(z), self.p, width), complex)
-                self._fill(J, place, bins, z, W, e, seen)
-                yield _WhitenedBins(J, W, seen, e, experiment.counts[bins])
+                block = _WhitenedBins(J, W, seen, e, experiment.counts[bins])
+                self._fill(block, place, bins)
+                yield block
 
     def _jacobians(self) -> Iterator[tuple[ComplexArray, ComplexArray, Array]]:
         """Blocks of bins: errors of covariance 1 (rows,), their Jacobian (rows, P), and what each row counts."""
@@ -443,18 +448,17 @@ class LikelihoodEvaluation:
             starts.append(start)
         return np.concatenate([x, C.ravel(), K.ravel(), *(starts if self.point.states else [])])
 
-    def _fill(
-        self, J: ComplexArray, place: int, bins: slice, z: ComplexArray, W: ComplexArray, e: ComplexArray,
-        seen: ComplexArray | None,
-    ) -> None:  # fmt: skip
-        """Derivatives of whitened errors of some bins by all numbers."""
+    def _fill(self, block: _WhitenedBins, place: int, bins: slice) -> None:
+        """Fill the Jacobian of a block with the derivatives by all numbers."""
+        J, W, seen, e, _ = block
         noise, problem, column = self.point.noise, self.problem, len(self.point.noise.sections.x)
+        z = problem.experiments[place].z[bins]
         if seen is not None:
             states = self._states(place, z, e)
             through = W @ seen
-            for k, (first, block) in enumerate(noise.slopes):
-                these = slice(first, first + len(block))
-                J[:, :, k] -= np.einsum("bpn,nb->bp", through[:, :, these], block @ states[these])
+            for k, (first, slope) in enumerate(noise.slopes):
+                section = slice(first, first + len(slope))
+                J[:, :, k] -= np.einsum("bpn,nb->bp", through[:, :, section], slope @ states[section])
             N, column = noise.states, len(noise.x)
             of_C = W[:, :, :, None] * states.T[:, None, None, :]
             J[:, :, column : column + self.p * N] = -of_C.reshape(len(z), self.p, -1)
@@ -489,15 +493,15 @@ class LikelihoodEvaluation:
                 mine = self.point.own[own]
                 own += 1
                 if k == place:
-                    self._fill_part(J, part, mine, bins, W, numbers, column)
-                    J[:, :, : len(sections.x)] -= self._slopes(part, mine, bins, W, n) @ sections.pole_slopes
+                    piece = part.at_bins(bins)
+                    self._fill_part(J, piece, mine, W, numbers, column)
+                    J[:, :, : len(sections.x)] -= self._slopes(piece, mine, W, n) @ sections.pole_slopes
                 column += mine.size
 
     def _fill_part(
-        self, J: ComplexArray, part: DrivenPart, mine: Array, bins: slice, W: ComplexArray, numbers: Indices,
-        column: int,
-    ) -> None:  # fmt: skip
-        F, outputs = part.columns[:, bins].T, part.rows.outputs
+        self, J: ComplexArray, part: DrivenPart, mine: Array, W: ComplexArray, numbers: Indices, column: int
+    ) -> None:
+        F, outputs = part.columns.T, part.rows.outputs
         places = places_of(part.rows, len(self.point.poles))
         for k, output in enumerate(outputs.tolist()):
             along = -W[:, :, output, None]
@@ -505,9 +509,9 @@ class LikelihoodEvaluation:
             number = numbers[places, output]
             J[:, :, number[number >= 0]] = along * F[:, None, part.own :][:, :, number >= 0]
 
-    def _slopes(self, part: DrivenPart, mine: Array, bins: slice, W: ComplexArray, n: int) -> ComplexArray:
+    def _slopes(self, part: DrivenPart, mine: Array, W: ComplexArray, n: int) -> ComplexArray:
         """Derivatives of whitened outputs by imaginary, then real parts of the poles."""
-        D, total = part.derivatives[:, bins], np.zeros((W.shape[0], self.p, 2 * n), complex)
+        D, total = part.derivatives, np.zeros((W.shape[0], self.p, 2 * n), complex)
         for k, output in enumerate(part.rows.outputs.tolist()):
             residues = self._residues(output)
             amplitudes = [mine[:n, k] + 1j * mine[n : 2 * n, k]] if part.rows.moving else []

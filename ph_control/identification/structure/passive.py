@@ -220,7 +220,7 @@ class _Ports:
         n, P = R.shape[:2]
         b, c = np.tile(np.eye(P), (n, 1)), 2 * R.transpose(0, 2, 1).reshape(n * P, P)
         A, B, C = real_matrices(np.repeat(p, P), b.astype(complex), c.T)
-        bands = Passivity(A, B, C, D, scattering=False).bands()
+        bands = Passivity((A, B, C, D), scattering=False).bands()
         ends = [end for band in bands for end in (band.low, band.high) if end in (0.0, np.inf)]
         return sorted({*(band.worst for band in bands), *ends})
 
