@@ -81,7 +81,7 @@ def _of_response(data: Any, result: Any) -> Directions:
     peaks = rows.peaks(p)
     slopes = stacked((rho[:, None] * peaks.slopes[0], rho.conj()[:, None] * peaks.slopes[1]))
     late = np.exp(-1j * record.omega * result.delay[0])
-    columns = late * np.concatenate([slopes, stacked((peaks.ahead, peaks.behind))])
+    columns = late * np.concatenate([slopes, stacked((peaks.pole_term, peaks.conjugate_term))])
     return Directions(columns.T @ _tangent(result)[: len(columns)], (late * rows.background).T)
 
 

@@ -28,7 +28,7 @@ from ..change.monitored import Monitored
 from ..data.channels import Recording, several
 from ..data.experiments import as_channels, one_recording
 from ..data.time_record import InTime
-from ..data.windowed import response_through
+from ..data.windowed import windowed_response
 from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..estimates.scaled_shapes import ModeShapes, Ports
 from ..estimates.stabilisation import Orders
@@ -717,7 +717,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
             )
         halves = halved(self.poles, self.residues)
         frequencies = _checks.real_array("omega", omega, 1)
-        return response_through(self.window, frequencies, self.poles, halves, self.feedthrough)
+        return windowed_response(self.window, frequencies, self.poles, halves, self.feedthrough)
 
     def predict(
         self, data: Any, *, initial_state: ArrayLike | PredictedState | None = None, dt: float | None = None,

@@ -78,7 +78,9 @@ def _remainder_of_response(rows: FreeResponse, model: PhysicalModes, scales: Arr
     o, i = np.divmod(entries, m)
     peaks = rows.peaks(model.poles)
     n, halves = len(model.poles), halved(model.poles, model.residues)[:, o, i]
-    columns = np.concatenate([peaks.ahead + peaks.behind, 1j * (peaks.ahead - peaks.behind), rows.direct])
+    columns = np.concatenate(
+        [peaks.pole_term + peaks.conjugate_term, 1j * (peaks.pole_term - peaks.conjugate_term), rows.direct]
+    )
     weights = np.concatenate([halves.real, halves.imag, model.feedthrough[o, i][None]])
     remainder = rows.target - rows.in_rows((weights / scales[entries]).T @ columns)
     own = np.zeros((rows.own_unknowns(n), len(entries)))
@@ -248,4 +250,6 @@ def of_modes(rows: Any, model: PhysicalModes, places: Any, scales: Array, own: A
     o, i = np.divmod(rows.outputs, some.feedthrough.shape[1])
     peaks = rows.peaks(some.poles)
     halves = halved(some.poles, some.residues)[:, o, i] / scales[rows.outputs]
-    return halves.real.T @ (peaks.ahead + peaks.behind) + 1j * halves.imag.T @ (peaks.ahead - peaks.behind)
+    return halves.real.T @ (peaks.pole_term + peaks.conjugate_term) + 1j * halves.imag.T @ (
+        peaks.pole_term - peaks.conjugate_term
+    )

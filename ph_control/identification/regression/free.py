@@ -21,7 +21,7 @@ import numpy as np
 from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..data.time_record import LONG
-from ..data.windowed import crossed_scores, share_errors
+from ..data.windowed import have_shared_errors, shared_score_covariance
 from .elimination import LinearProjection, eliminate, inverse_gram, null_space, orthogonal, reduced, without
 from .frequency_rows import FreeResponse
 from .sections import PoleRegion, Sections
@@ -497,7 +497,7 @@ class FreeProjection(LinearProjection):
         for group in self._groups:
             for output in group.outputs:
                 covariance[places[output], places[output]] += group.solve @ group.solve.T
-        if share_errors(self.experiments):
+        if have_shared_errors(self.experiments):
             covariance = covariance + self._of_shared_errors()
         return variance * covariance
 
@@ -527,7 +527,7 @@ class FreeProjection(LinearProjection):
         inverse = inverse_gram(np.concatenate([reduced(np.asfortranarray(J)) for J in jacobians.values()]))
         turn = np.zeros((2 * n + self.shared.size, k + self.shared.size))
         turn[: 2 * n, :k], turn[2 * n :, k:] = self.sections.pole_slopes, np.eye(self.shared.size)
-        return turn, inverse, crossed_scores(self.experiments, jacobians)
+        return turn, inverse, shared_score_covariance(self.experiments, jacobians)
 
     def in_rows(self, place: int) -> tuple[Array, Array]:
         """Derivatives of the one output of an experiment by poles and by what is shared, in all its rows.

@@ -218,7 +218,7 @@ class FreeResponse:
             modes = self._classical(p)[0]
         else:
             peaks = peaks or self.peaks(p)
-            modes = stacked((peaks.ahead, peaks.behind))
+            modes = stacked((peaks.pole_term, peaks.conjugate_term))
         fed = [self.in_rows(self.direct)] if self.through else []
         return np.concatenate([self.background, self.in_rows(modes), *fed])
 

@@ -19,7 +19,7 @@ from ..._checks import EPS
 from ..._frozen import Frozen
 from ..._options import HYPOTHESES
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
-from ..data.windowed import crossed_scores, share_errors
+from ..data.windowed import have_shared_errors, shared_score_covariance
 from ..parameters.fitted_parameters import FittedParameters, ParametricPoint
 from ..regression.elimination import LinearProjection, reduced, tolerance
 from ..regression.free import Delays, FreeProjection, GivenResidues, Sensitivity
@@ -215,12 +215,12 @@ class ConstrainedProjection(LinearProjection):
         kept, inner = self._inverse_gram
         poles = self._pole_derivatives
         J = np.concatenate([poles, *map(self.derivatives, range(self._problem.start.shared.shape[1]))])[:, kept]
-        if isinstance(self.data, GivenResidues) and share_errors(self.data.experiments):
-            inner = inner + inner @ self.crossed_scores[np.ix_(kept, kept)] @ inner
+        if isinstance(self.data, GivenResidues) and have_shared_errors(self.data.experiments):
+            inner = inner + inner @ self.shared_score_covariance[np.ix_(kept, kept)] @ inner
         return np.asarray(J @ (variance * inner) @ J.T)
 
     @cached_property
-    def crossed_scores(self) -> Array:
+    def shared_score_covariance(self) -> Array:
         """Covariance of the gradient beyond the Gram matrix, by errors that entries have in common."""
         assert isinstance(self.data, GivenResidues)
         jacobians, poles = {}, self._pole_derivatives
@@ -228,15 +228,15 @@ class ConstrainedProjection(LinearProjection):
             by_poles, by_shared = self.data.in_rows(place)
             J = by_poles @ poles + by_shared @ self.derivatives(int(rows.outputs[0]))
             jacobians[place] = np.where(np.diag(self.gram) > 0, J, 0.0)
-        return crossed_scores(self.data.experiments, jacobians)
+        return shared_score_covariance(self.data.experiments, jacobians)
 
     @property
     def excess(self) -> float:
         """How many more squares than it has unknowns this model takes of errors that entries have in common."""
-        if not (isinstance(self.data, GivenResidues) and share_errors(self.data.experiments)):
+        if not (isinstance(self.data, GivenResidues) and have_shared_errors(self.data.experiments)):
             return 0.0
         kept, inner = self._inverse_gram
-        return float(np.sum(inner * self.crossed_scores[np.ix_(kept, kept)]))
+        return float(np.sum(inner * self.shared_score_covariance[np.ix_(kept, kept)]))
 
     @cached_property
     def deficiency(self) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ..._options import HYPOTHESES
-from ..data.windowed import share_errors
+from ..data.windowed import have_shared_errors
 from ..diagnosis.verdict import HypothesisTest
 from ..innovations.joint import JointProjection
 from ..regression.free import FreeProjection
@@ -166,7 +166,7 @@ def likelihood_test(projection: FreeProjection, fit: StructuredFit, dof: int) ->
 
 def _inflation(projection: FreeProjection, fit: StructuredFit, dof: int) -> float:
     """Mean of the squares that a true structure costs over their number, 1 unless entries have errors in common."""
-    if not dof or not share_errors(projection.experiments):
+    if not dof or not have_shared_errors(projection.experiments):
         return 1.0
     excess = getattr(fit.point, "excess", None)
     return 1.0 if excess is None else max(_LEAST, 1 + (projection.excess - excess) / dof)

@@ -19,7 +19,7 @@ from ..._types import Array, ComplexArray, Indices, Mask
 from ..._units import common_unit
 from ...exceptions import StructureError
 from ..data.channels import Recording
-from ..data.windowed import crossed_scores, share_errors
+from ..data.windowed import have_shared_errors, shared_score_covariance
 from ..diagnosis.verdict import HypothesisTest
 from ..parameters.fitted_parameters import FittedParameters, ParameterInformation, ParametricPoint, named_combination
 from ..parameters.model_function import ModelFunction
@@ -554,14 +554,14 @@ def _with_shared_errors(
     problem: _ParametricProblem, point: _ParameterPoint, information: ParameterInformation
 ) -> tuple[Array, float | None]:
     """Inverse of the information, with what errors that entries of a response have in common add to it."""
-    if not share_errors(problem.experiments):
+    if not have_shared_errors(problem.experiments):
         return information.inverse, None
     jacobians, first = {}, 0
     for place, rows in enumerate(problem.experiments):
         size = rows.samples * len(rows.outputs)
         jacobians[place] = point.jacobian[first : first + size] * point.free
         first += size
-    scores = crossed_scores(problem.experiments, jacobians)
+    scores = shared_score_covariance(problem.experiments, jacobians)
     inverse = information.inverse
     return inverse + inverse @ scores @ inverse, float(np.sum(inverse * scores))
 

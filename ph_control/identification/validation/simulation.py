@@ -29,7 +29,7 @@ from ...systems.port_hamiltonian import ph
 from ..data.channels import Recording, ResponseMatrix, recording, several
 from ..data.frequency_record import FrequencyRecord, InFrequency, LineErrors
 from ..data.time_record import InTime, Record
-from ..data.windowed import response_through
+from ..data.windowed import windowed_response
 from ..diagnosis.fitted_directions import Directions, directions_of, same_data
 from ..fit.pem_result import PEMResult
 from ..fit.prediction_ahead import ahead, ahead_of_growth, grows, is_simulated
@@ -437,7 +437,7 @@ def _through_window(model: Any, system: Any, label: str, record: FrequencyRecord
     assert window is not None
     if isinstance(model, PEMResult):
         halves = halved(model.poles, model.residues)
-        return response_through(window, record.omega, model.poles, halves, model.feedthrough)
+        return windowed_response(window, record.omega, model.poles, halves, model.feedthrough)
     hold = Hold(window.step, "exact", "zoh" if window.hold == "bandlimited" else window.hold)
     held = replace(window, hold=hold.intersample)
     m, count = len(system.input_labels), window.length + 1
