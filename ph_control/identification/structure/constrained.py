@@ -27,7 +27,7 @@ from ..regression.sections import PoleRegion
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Refinement, continue_refinement, refine
 from .coordinates import ChannelLayout, MatrixCoordinates, ShapeCoordinates, StructureCoordinates
-from .passive import PassivePoint, made_passive, nearest_passive
+from .passive import PassivePoint, classical_passive, nearest_passive
 
 _EXACT = 1e-10  # relative decrease of the loss at which a refinement ends
 _WELL_CONDITIONED = 1e10  # entries of the inverse of a Gram matrix of unit columns
@@ -461,20 +461,23 @@ def _at_bound(problem: ConstrainedProblem, projection: ConstrainedProjection) ->
 
 
 def nearest_passive_fit(
-    projection: FreeProjection, layout: ChannelLayout, classical: Callable[[], StructuredFit], most: float = np.inf
+    projection: FreeProjection,
+    layout: ChannelLayout,
+    classical: Callable[[], StructuredFit],
+    max_distance: float = np.inf,
 ) -> StructuredFit:
     """Nearest passive model; that with classical damping where the way from the free one does not lead to any.
 
-    Nor does it where the squared distance is beyond the `most`, in standard errors.
+    Nor does it where the squared distance is beyond `max_distance`, in standard errors.
     """
     variance = projection.loss / max(1, projection.rows - projection.unknowns)
     point, unknowns = (
-        nearest_passive(projection, layout, variance, most),
+        nearest_passive(projection, layout, variance, max_distance),
         coordinates_of(projection, layout, "free").dof,
     )
     if point is None:
-        near = classical()
-        point = made_passive(near.projection, layout, unknowns - near.parameters, near.covariance / variance)
+        damped = classical()
+        point = classical_passive(damped.projection, layout, unknowns - damped.parameters, damped.covariance / variance)
     data, parameters = point.data, unknowns - point.active
     return StructuredFit(
         "passive", "passive", data.p, *layout.split(data.shared, len(data.p)), None, None, data.loss,

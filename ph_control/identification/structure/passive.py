@@ -108,7 +108,7 @@ class _Ports:
         return self.projection.given(theta[n : 2 * n] + 1j * theta[:n], shared)
 
     @cached_property
-    def _fed(self) -> bool:
+    def _has_velocity_feedthrough(self) -> bool:
         """Whether a velocity may be fed through."""
         through = self.layout.split(self.projection.shown.astype(float), self.n)[1][np.ix_(self._outputs, self._inputs)]
         return bool(np.any(through[self._integrations == 0] != 0))
@@ -116,10 +116,10 @@ class _Ports:
     @property
     def is_strictly_proper(self) -> bool:
         """Whether mobilities vanish at infinite frequency, whatever the parameters."""
-        return not self._fed and not np.any(self._integrations == 1)
+        return not self._has_velocity_feedthrough and not np.any(self._integrations == 1)
 
     @property
-    def rests(self) -> bool:
+    def vanishes_at_zero(self) -> bool:
         """Whether mobilities vanish at frequency 0, whatever the parameters: those of measured displacements."""
         return bool(np.all(self._integrations == 1))
 
@@ -141,7 +141,7 @@ class _Ports:
         p = (theta[n : 2 * n] + 1j * theta[:n])[:, None, None]
         W, power = M.T, k[:, None]
         delta = np.where(power == 0, 2 * W.real, 0.0) * (not (np.isinf(w) and self.is_strictly_proper))
-        if w == 0 and self.rests:
+        if w == 0 and self.vanishes_at_zero:
             return _Constraint(2 * W / p**2, -4 * W / p**3, delta)
         if np.isfinite(w):
             ahead, behind = 1 / (1j * w - p), 1 / (-1j * w - p)
@@ -156,18 +156,18 @@ class _Ports:
     def symmetry(self, theta: Array) -> list[_Constraint]:
         """Differences that are 0: at an end of the axis where mobilities vanish, their first order is symmetric."""
         constraints, P = list[_Constraint](), len(self._outputs)
-        p, none = theta[self.n : 2 * self.n] + 1j * theta[: self.n], np.zeros((P, P))
-        ends = [np.full(P, -1)] * self.rests + [self._integrations] * (not self._fed)
+        p, no_feedthrough = theta[self.n : 2 * self.n] + 1j * theta[: self.n], np.zeros((P, P))
+        ends = [np.full(P, -1)] * self.vanishes_at_zero + [self._integrations] * (not self._has_velocity_feedthrough)
         for k in ends:
             for a in range(P):
                 for b in range(a):
                     beta, slope = np.zeros((2, self.n, P, P), complex)
                     beta[:, a, b], beta[:, b, a] = p ** float(k[a]), -(p ** float(k[b]))
                     slope[:, a, b], slope[:, b, a] = k[a] * p ** (k[a] - 1.0), -k[b] * p ** (k[b] - 1.0)
-                    constraints.append(_Constraint(beta, slope, none))
+                    constraints.append(_Constraint(beta, slope, no_feedthrough))
         return constraints
 
-    def linear(self, theta: Array, constraint: _Constraint) -> tuple[float, Array]:
+    def value_and_gradient(self, theta: Array, constraint: _Constraint) -> tuple[float, Array]:
         """Value of a constraint and its gradient by `theta`."""
         n, layout, width = self.n, self.layout, self.projection.shared.shape[0]
         shared = theta[2 * n :].reshape(self.projection.shared.shape[::-1]).T
@@ -177,25 +177,25 @@ class _Ports:
             for b, i in enumerate(self._inputs):
                 rho, beta = residues[:, o, i], constraint.beta[:, a, b]
                 value += float(2 * np.sum(rho * beta).real + through[o, i] * constraint.delta[a, b])
-                moved = 2 * rho * constraint.slope[:, a, b]
-                gradient[:n] -= moved.imag
-                gradient[n : 2 * n] += moved.real
-                output, place = (o * layout.inputs + i, 0) if layout.per_entry else (o, i)
-                first = 2 * n + output * width + place * (2 * n + self.projection.has_feedthrough)
+                by_pole = 2 * rho * constraint.slope[:, a, b]
+                gradient[:n] -= by_pole.imag
+                gradient[n : 2 * n] += by_pole.real
+                output, column = (o * layout.inputs + i, 0) if layout.per_entry else (o, i)
+                first = 2 * n + output * width + column * (2 * n + self.projection.has_feedthrough)
                 gradient[first : first + n] += 2 * beta.real * layout.scales[output]
                 gradient[first + n : first + 2 * n] -= 2 * beta.imag * layout.scales[output]
                 if self.projection.has_feedthrough:
                     gradient[first + 2 * n] += constraint.delta[a, b] * layout.scales[output]
         return value, gradient
 
-    def violated(self, theta: Array) -> list[tuple[float, ComplexArray]]:
+    def violations(self, theta: Array) -> list[tuple[float, ComplexArray]]:
         """Frequencies and directions in which a stable model is active, the worst of each band.
 
         From a grid while that shows any; the exact test has the last word.
         """
         model = self.mobility(theta)
-        directions = self._directions(model, self._lowest(model))
-        return directions or self._directions(model, self._worst(model))
+        directions = self._directions(model, self._candidate_frequencies(model))
+        return directions or self._directions(model, self._worst_frequencies(model))
 
     def _directions(
         self, model: tuple[ComplexArray, ComplexArray, Array], frequencies: list[float]
@@ -203,68 +203,73 @@ class _Ports:
         directions = []
         for w in frequencies:
             values, vectors = np.linalg.eigh(self._phi(*model, np.array([w]))[0])
-            rounding = _ROUNDING * max(np.abs(values).max(), self._terms(model, w))
+            rounding = _ROUNDING * max(np.abs(values).max(), self._end_term_size(model, w))
             directions += [(w, v) for value, v in zip(values, vectors.T, strict=True) if value < -rounding]
         return directions
 
-    def _terms(self, model: tuple[ComplexArray, ComplexArray, Array], w: float) -> float:
+    def _end_term_size(self, model: tuple[ComplexArray, ComplexArray, Array], w: float) -> float:
         """Size of the terms of the modes whose sum remains at an end of the axis: rounding is a part of these."""
-        order = (1 if self.is_strictly_proper else -1) if np.isinf(w) else -3 if w == 0 and self.rests else None
+        order = (
+            (1 if self.is_strictly_proper else -1) if np.isinf(w) else -3 if w == 0 and self.vanishes_at_zero else None
+        )
         return (
             0.0 if order is None else float(4 * np.sum(np.abs(model[0]) ** order * np.abs(model[1]).max(axis=(1, 2))))
         )
 
-    def _worst(self, model: tuple[ComplexArray, ComplexArray, Array]) -> list[float]:
+    def _worst_frequencies(self, model: tuple[ComplexArray, ComplexArray, Array]) -> list[float]:
         """Worst frequency of each band, and ends of the axis that lie in one."""
         p, R, D = model
         n, P = R.shape[:2]
-        b, c = np.tile(np.eye(P), (n, 1)), 2 * R.transpose(0, 2, 1).reshape(n * P, P)
-        A, B, C = real_matrices(np.repeat(p, P), b.astype(complex), c.T)
+        input_rows, output_columns = np.tile(np.eye(P), (n, 1)), 2 * R.transpose(0, 2, 1).reshape(n * P, P)
+        A, B, C = real_matrices(np.repeat(p, P), input_rows.astype(complex), output_columns.T)
         bands = Passivity((A, B, C, D), scattering=False).bands()
         ends = [end for band in bands for end in (band.low, band.high) if end in (0.0, np.inf)]
         return sorted({*(band.worst for band in bands), *ends})
 
-    def _lowest(self, model: tuple[ComplexArray, ComplexArray, Array]) -> list[float]:
+    def _candidate_frequencies(self, model: tuple[ComplexArray, ComplexArray, Array]) -> list[float]:
         """Ends of the axis, and minima of the smallest eigenvalue between points that are dense about the poles."""
         frequencies = _minima(lambda omega: np.asarray(np.linalg.eigvalsh(self._phi(*model, omega))[:, 0]), model[0])
         return [0.0, *frequencies, np.inf]
 
     def curvature(self, theta: Array, w: float, v: ComplexArray) -> Array:
         """Vectors `a` such that the smallest eigenvalue bends as `-sum (a^T d)^2 / 2`, as directions and `w` follow."""
-        model, turned = self.mobility(theta), []
+        model, bends = self.mobility(theta), []
         values, vectors = np.linalg.eigh(self._phi(*model, np.array([w]))[0])
         lowest = int(np.argmax(np.abs(vectors.conj().T @ v)))
         for k in np.flatnonzero(np.arange(len(values)) != lowest):
             cross = np.outer(v, vectors[:, k].conj())
             gap = max(float(values[k] - values[lowest]), np.finfo(float).tiny)
             for M in (cross + cross.conj().T, 1j * (cross - cross.conj().T)):
-                turned.append(self.linear(theta, self.constraint(theta, w, M))[1] / np.sqrt(2 * gap))
+                bends.append(self.value_and_gradient(theta, self.constraint(theta, w, M))[1] / np.sqrt(2 * gap))
         if 0 < w < np.inf:
             step, M = _NEARBY * np.abs(1j * w - model[0]).min(), np.outer(v, v.conj())
-            around = np.linalg.eigvalsh(self._phi(*model, w + step * np.arange(-1.0, 2.0)))[:, 0]
-            bend = float(around[0] - 2 * around[1] + around[2])
-            if bend > 0:
-                ends = [self.linear(theta, self.constraint(theta, w + offset * step, M))[1] for offset in (-0.5, 0.5)]
-                turned.append((ends[1] - ends[0]) / np.sqrt(bend))
-        return np.reshape(turned, (len(turned), len(theta)))
+            eigenvalues = np.linalg.eigvalsh(self._phi(*model, w + step * np.arange(-1.0, 2.0)))[:, 0]
+            second_difference = float(eigenvalues[0] - 2 * eigenvalues[1] + eigenvalues[2])
+            if second_difference > 0:
+                ends = [
+                    self.value_and_gradient(theta, self.constraint(theta, w + offset * step, M))[1]
+                    for offset in (-0.5, 0.5)
+                ]
+                bends.append((ends[1] - ends[0]) / np.sqrt(second_difference))
+        return np.reshape(bends, (len(bends), len(theta)))
 
     def _phi(self, p: ComplexArray, R: ComplexArray, D: Array, omega: Array) -> ComplexArray:
         """`G + G^H` at frequencies, shape (K, P, P); at an end where it vanishes its second order."""
         s = 1j * np.where(np.isinf(omega), 1.0, omega)[:, None]
         G = np.einsum("kl,lab->kab", 1 / (s - p), R) + np.einsum("kl,lab->kab", 1 / (s - p.conj()), R.conj()) + D
-        last = -2 * np.einsum("l,lab->ab", p, R).real if self.is_strictly_proper else D
-        G[np.isinf(omega)] = last
-        if self.rests:
+        at_infinity = -2 * np.einsum("l,lab->ab", p, R).real if self.is_strictly_proper else D
+        G[np.isinf(omega)] = at_infinity
+        if self.vanishes_at_zero:
             G[omega == 0] = 2 * np.einsum("l,lab->ab", p**-3.0, R).real
         return np.asarray(G + G.conj().transpose(0, 2, 1))
 
 
 def nearest_passive(
-    projection: FreeProjection, layout: ChannelLayout, variance: float, most: float = np.inf
+    projection: FreeProjection, layout: ChannelLayout, variance: float, max_distance: float = np.inf
 ) -> PassivePoint | None:
     """The passive model of least loss, about the minimum of a free fit whose rows have this variance.
 
-    None if the constraints leave nothing, or nothing within the `most` of a squared distance in standard errors.  Poles
+    None if the constraints leave nothing, or nothing within `max_distance`, squared and in standard errors.  Poles
     move with the residues; loss and metric are evaluated anew at the first answer.
     """
     ports, best = _Ports(projection, layout), None
@@ -272,26 +277,26 @@ def nearest_passive(
     theta = centre
     for _ in range(_STEPS):
         alive("structure passive")
-        held = _projected(ports, centre, C, theta, most)
-        if held is None:
+        minimum = _constrained_minimum(ports, centre, C, theta, max_distance)
+        if minimum is None:
             break
-        theta, data = held.theta, ports.data(held.theta)
+        theta, data = minimum.theta, ports.data(minimum.theta)
         if best is not None and data.loss >= best.data.loss:
             break
-        best = PassivePoint(data, held.active, held.covariance / variance)
-        predicted, cost = held.distance, (data.loss - projection.loss) / variance
-        if not held.active or predicted > _FAR or abs(predicted - cost) < _AGREES * (1 + predicted):
+        best = PassivePoint(data, minimum.active, minimum.covariance / variance)
+        predicted, cost = minimum.distance, (data.loss - projection.loss) / variance
+        if not minimum.active or predicted > _FAR or abs(predicted - cost) < _AGREES * (1 + predicted):
             break
         C = data.covariance(variance)
         centre = theta - C @ _gradient(data) / variance
     return best
 
 
-def made_passive(classical: FreeProjection, layout: ChannelLayout, active: int, inverse: Array) -> PassivePoint:
+def classical_passive(classical: FreeProjection, layout: ChannelLayout, active: int, inverse: Array) -> PassivePoint:
     """A model with classical damping, so many unknowns fewer: poles that grow are brought to the axis."""
     ports = _Ports(classical, layout)  # pairs of poles may have turned real
     theta, n = ports.theta(classical), ports.n
-    theta[n : 2 * n] = np.minimum(theta[n : 2 * n], -_decay(classical.covariance(1.0), n, theta))
+    theta[n : 2 * n] = np.minimum(theta[n : 2 * n], -_least_decay_rates(classical.covariance(1.0), n, theta))
     residues, through = layout.split(classical.shared, n)
     block = np.ix_([o for o, _ in layout.ports], [i for _, i in layout.ports])
     values, vectors = np.linalg.eigh(0.5 * (through[block] + through[block].T))
@@ -300,7 +305,7 @@ def made_passive(classical: FreeProjection, layout: ChannelLayout, active: int, 
     return PassivePoint(ports.data(theta), active, inverse)
 
 
-def _decay(C: Array, n: int, theta: Array) -> Array:
+def _least_decay_rates(C: Array, n: int, theta: Array) -> Array:
     """Least decay rates, which keep poles from the axis."""
     frequencies = np.where(theta[:n] > 0, theta[:n], np.inf)
     return np.asarray(_STEADY * np.minimum(np.sqrt(np.diag(C)[n : 2 * n]), frequencies))
@@ -317,72 +322,75 @@ def _gradient(data: GivenResidues) -> Array:
     return gradient
 
 
-def _projected(ports: _Ports, centre: Array, C: Array, theta: Array, most: float) -> _Held | None:
-    """Passive model next to the centre; constraints are made linear anew at each answer, until it stays."""
-    n, known, none = ports.n, list[tuple[float, ComplexArray]](), np.zeros((0, len(theta)))
-    now: _Held | None = None
-    best: _Held | None = None
-    forces = np.zeros(0)
-    steady = -_decay(C, n, theta)
-    for turn in range(_ROUNDS):
+def _constrained_minimum(
+    ports: _Ports, centre: Array, C: Array, theta: Array, max_distance: float
+) -> _ConstrainedMinimum | None:
+    """Passive model next to the centre: constraints, `cuts` among them, are linearised anew at each answer."""
+    n, cuts, no_rows = ports.n, list[tuple[float, ComplexArray]](), np.zeros((0, len(theta)))
+    current: _ConstrainedMinimum | None = None
+    best: _ConstrainedMinimum | None = None
+    multipliers = np.zeros(0)
+    decay_bounds = -_least_decay_rates(C, n, theta)
+    for iteration in range(_ROUNDS):
         stable = bool(np.all(theta[n : 2 * n] < 0))
-        new = ports.violated(theta) if stable else []
-        if stable and not new:
-            if now is None and not ports.symmetry(theta):
-                return _Held(theta, 0.0, none, none, C)
-            if now is not None:
-                moved = np.inf if best is None else abs(now.distance - best.distance)
-                if best is None or now.distance < best.distance:
-                    bends = [
-                        np.sqrt(force) * ports.curvature(theta, *known[k]) for k, force in enumerate(forces) if force
+        violations = ports.violations(theta) if stable else []
+        if stable and not violations:
+            if current is None and not ports.symmetry(theta):
+                return _ConstrainedMinimum(theta, 0.0, no_rows, no_rows, C)
+            if current is not None:
+                change = np.inf if best is None else abs(current.distance - best.distance)
+                if best is None or current.distance < best.distance:
+                    curvatures = [
+                        np.sqrt(multiplier) * ports.curvature(theta, *cuts[k])
+                        for k, multiplier in enumerate(multipliers)
+                        if multiplier
                     ]
-                    best = replace(now, bends=np.concatenate([none, *bends]))
-                if moved < _SETTLED * (1 + best.distance):
+                    best = replace(current, curvatures=np.concatenate([no_rows, *curvatures]))
+                if change < _SETTLED * (1 + best.distance):
                     break
-        known = known + new
-        values, A, equal = _constraints(ports, theta, known, steady)
-        inside = np.repeat([0.0, _INSIDE, 0.0], [equal, len(known), n])
+        cuts = cuts + violations
+        values, A, equation_count = _constraints(ports, theta, cuts, decay_bounds)
+        margins = np.repeat([0.0, _INSIDE, 0.0], [equation_count, len(cuts), n])
         with np.errstate(all="ignore"):
-            size = np.sqrt(np.einsum("ij,ij->i", A @ C, A))
-            A = A / np.where(size > 0, size, 1.0)[:, None]
-            M, h = A @ C @ A.T, inside - values / np.where(size > 0, size, 1.0) + A @ (theta - centre)
+            lengths = np.sqrt(np.einsum("ij,ij->i", A @ C, A))
+            A = A / np.where(lengths > 0, lengths, 1.0)[:, None]
+            M, h = A @ C @ A.T, margins - values / np.where(lengths > 0, lengths, 1.0) + A @ (theta - centre)
         if not (np.isfinite(M).all() and np.isfinite(h).all()):
             break  # modes that the data do not show
-        solved = _least_distance(M, h, equal)
-        if solved is None:
+        solution = _least_distance(M, h, equation_count)
+        if solution is None:
             break
-        theta = centre + C @ (A.T @ solved)
-        forces = solved[equal : len(solved) - n] / size[equal : len(solved) - n]
-        now = _Held(theta, float(solved @ M @ solved), A[solved != 0], none, C)
-        if turn < _NEAR and now.distance > most:
+        theta = centre + C @ (A.T @ solution)
+        multipliers = solution[equation_count : len(solution) - n] / lengths[equation_count : len(solution) - n]
+        current = _ConstrainedMinimum(theta, float(solution @ M @ solution), A[solution != 0], no_rows, C)
+        if iteration < _NEAR and current.distance > max_distance:
             break  # where constraints are nearly linear, those that are added only take more
     return best
 
 
 def _constraints(
-    ports: _Ports, theta: Array, known: list[tuple[float, ComplexArray]], steady: Array
+    ports: _Ports, theta: Array, cuts: list[tuple[float, ComplexArray]], decay_bounds: Array
 ) -> tuple[Array, Array, int]:
     """Values and gradients of constraints: equations first, then passivity, stability; and the number of equations."""
     n = ports.n
-    equal = [ports.linear(theta, constraint) for constraint in ports.symmetry(theta)]
-    above = [ports.linear(theta, ports.constraint(theta, w, np.outer(v, v.conj()))) for w, v in known]
-    values, gradients = zip(
-        *equal, *above, *zip(steady - theta[n : 2 * n], -np.eye(n, len(theta), n), strict=True), strict=True
-    )
-    return np.array(values), np.array(gradients), len(equal)
+    equations = [ports.value_and_gradient(theta, constraint) for constraint in ports.symmetry(theta)]
+    passivity = [ports.value_and_gradient(theta, ports.constraint(theta, w, np.outer(v, v.conj()))) for w, v in cuts]
+    stability = zip(decay_bounds - theta[n : 2 * n], -np.eye(n, len(theta), n), strict=True)
+    values, gradients = zip(*equations, *passivity, *stability, strict=True)
+    return np.array(values), np.array(gradients), len(equations)
 
 
 @dataclass(frozen=True)
-class _Held:
-    """A passive model, its squared distance from the centre, and the constraints that hold it.
+class _ConstrainedMinimum:
+    """A passive model, its squared distance from the centre, and the active constraints.
 
-    `rows` are their gradients, `bends` vectors by which they are curved, weighted with the force of each.
+    `rows` are the gradients of these, `curvatures` vectors by which they are curved, by the roots of the multipliers.
     """
 
     theta: Array
     distance: float
     rows: Array
-    bends: Array
+    curvatures: Array
     C: Array
 
     @property
@@ -395,16 +403,16 @@ class _Held:
         if not len(self.rows):
             return 0
         values = np.linalg.eigvalsh(self.rows @ self.C @ self.rows.T)
-        curved = np.maximum(np.linalg.eigvalsh(self.bends @ self.covariance @ self.bends.T), 0.0)
-        return int(np.sum(values > _SHOWN * values.max())) + round(float(np.sum(curved / (1 + curved))))
+        ratios = np.maximum(np.linalg.eigvalsh(self.curvatures @ self.covariance @ self.curvatures.T), 0.0)
+        return int(np.sum(values > _SHOWN * values.max())) + round(float(np.sum(ratios / (1 + ratios))))
 
     @property
     def covariance(self) -> Array:
         """Covariance of what may still move along the constraints."""
         if not len(self.rows):
             return self.C
-        moved = self.C @ self.rows.T
-        return np.asarray(self.C - moved @ np.linalg.pinv(self.rows @ moved, hermitian=True) @ moved.T)
+        cross = self.C @ self.rows.T
+        return np.asarray(self.C - cross @ np.linalg.pinv(self.rows @ cross, hermitian=True) @ cross.T)
 
 
 def _minima(least: Callable[[Array], Array], poles: ComplexArray) -> list[float]:
