@@ -198,7 +198,7 @@ class PlannedPlant:
         damped = self.structure == "classical"
         coordinates = ShapeCoordinates(layout, sections, shown, self.fed, damped=damped, real=True, tied=True)
         x = coordinates.start(self.residues, self.feedthrough)
-        kept = coordinates.free(x)
+        kept = coordinates.free_coordinates(x)
         by_shared = [coordinates.derivatives(x, o, self.has_feedthrough)[:, kept] for o in range(self.outputs)]
         names = tuple(f"x_{k + 1}" for k in range(int(kept.sum())))
         return PlantUnknowns(self, names, coordinates.pole_derivatives(x)[:, kept], np.array(by_shared))

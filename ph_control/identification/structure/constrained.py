@@ -241,7 +241,7 @@ class ConstrainedProjection(LinearProjection):
     @cached_property
     def deficiency(self) -> int:
         """Number of combinations of residues and feedthrough that leave no trace, for given poles and delays."""
-        linear = np.arange(len(self._problem.coordinates.kept), len(self._model))
+        linear = np.arange(len(self._problem.coordinates.pole_coordinates), len(self._model))
         kept = linear[np.diag(self.gram)[linear] > 0]
         lengths = np.sqrt(np.diag(self.gram)[kept])
         seen = np.linalg.eigvalsh(self.gram[np.ix_(kept, kept)] / np.outer(lengths, lengths))
@@ -300,11 +300,11 @@ class ConstrainedProblem:
             square, sign = inside[k : 2 * k], np.where(coordinates.sections.square > 0, 1.0, -1.0)
             sign = sign if coordinates.damped else np.ones(k)
             inside[k : 2 * k] = sign * np.maximum(sign * square, least)
-        return np.concatenate([inside[coordinates.kept], x[len(coordinates.kept) :], delays])
+        return np.concatenate([inside[coordinates.pole_coordinates], x[len(coordinates.pole_coordinates) :], delays])
 
     def reach(self, projection: ConstrainedProjection) -> Array:
         """Longest steps: of poles a bin and the half-width of a peak; unlimited for what is nearly linear."""
-        kept, widths = self.coordinates.kept, np.full(len(projection.x), np.inf)
+        kept, widths = self.coordinates.pole_coordinates, np.full(len(projection.x), np.inf)
         widths[: len(kept)] = self.region.reach(projection.sections)[kept]
         if self.delays is not None:
             widths[self.coordinates.size :] = self.delays.step
@@ -377,7 +377,7 @@ class Approach:
             residues = coordinates.turned_to_positive(residues)
             x = coordinates.start(residues, through)
             x = _with_best_sizes(projection, coordinates, x) if np.all(projection.p.imag > 0) else x
-        problem = ConstrainedProblem(coordinates, projection, region, coordinates.free(x), delays=delays)
+        problem = ConstrainedProblem(coordinates, projection, region, coordinates.free_coordinates(x), delays=delays)
         x = problem.inside(x if delays is None else np.append(x, delays.values))
         if delays is None and not crowded and coordinates.sections_at(x).keeps_kinds(projection.sections):
             tangent = replace(problem, tangent=Tangent(projection))
@@ -449,7 +449,7 @@ def _at_bound(problem: ConstrainedProblem, projection: ConstrainedProjection) ->
     coordinates = problem.coordinates
     if not isinstance(coordinates, ShapeCoordinates) or not coordinates.is_port_alone:
         return projection
-    first, roots = len(coordinates.kept), coordinates.residue_values(projection.x)[:, 0]
+    first, roots = len(coordinates.pole_coordinates), coordinates.residue_values(projection.x)[:, 0]
     effects = np.diag(projection.gram)[first:][: len(roots)] * roots**2
     for k in np.flatnonzero((roots != 0) & (effects < _WEAK**2 * projection.loss / problem.samples)).tolist():
         x = projection.x.copy()

@@ -99,42 +99,42 @@ def weights_of(poles: ComplexArray, residues: ComplexArray, quantity: str) -> Ar
 class StructureCoordinates:
     """Real numbers: coordinates of sections, without their decays if there are no losses, residues, and feedthrough.
 
-    `sections` are those of the model that the structure starts from; `shown` (p, m) are the entries of which any
-    experiment shows residues, `through` (p, m) those that may be fed through.  Residues have their values for each
+    `sections` are those of the model that the structure starts from; `shown_entries` (p, m) are those of which any
+    experiment shows residues, `fed_entries` (p, m) those that may be fed through.  Residues have their values for each
     section if these are `real`, else for each pole.
     """
 
     layout: ChannelLayout
     sections: Sections
-    shown: Mask
-    through: Mask
+    shown_entries: Mask
+    fed_entries: Mask
     damped: bool = True
     real: bool = False
 
     @cached_property
-    def kept(self) -> Indices:
+    def pole_coordinates(self) -> Indices:
         """Which coordinates of the sections may move."""
         k, s = len(self.sections.decay), len(self.sections.rates)
         return np.arange(2 * k + s) if self.damped else np.arange(k, 2 * k)
 
     @property
-    def _poles(self) -> int:
-        return len(self.kept)
+    def _pole_count(self) -> int:
+        return len(self.pole_coordinates)
 
     @property
-    def _units(self) -> int:
+    def _unit_count(self) -> int:
         """Sections, or poles, that have values of their own."""
         return len(self.sections.decay) + len(self.sections.rates) if self.real else len(self.sections.p)
 
     @property
-    def _numbers(self) -> int:
+    def _reals_per_value(self) -> int:
         """Real numbers of one value in all units: of a complex pole two."""
-        return self._units + (0 if self.real else int(np.sum(self.sections.p.imag != 0)))
+        return self._unit_count + (0 if self.real else int(np.sum(self.sections.p.imag != 0)))
 
     @cached_property
     def size(self) -> int:
         """Number of coordinates."""
-        return self._poles + self._units * self.values * (1 + (not self.real)) + int(self.through.sum())
+        return self._pole_count + self._unit_count * self.values * (1 + (not self.real)) + int(self.fed_entries.sum())
 
     @cached_property
     def values(self) -> int:
@@ -148,53 +148,53 @@ class StructureCoordinates:
 
     def sections_at(self, x: Array) -> Sections:
         """Sections of a model."""
-        coordinates = self.sections.x * (self.damped or np.repeat([0.0, 1.0, 0.0], self._counts))
-        coordinates[self.kept] = x[: self._poles]
+        coordinates = self.sections.x * (self.damped or np.repeat([0.0, 1.0, 0.0], self._section_counts))
+        coordinates[self.pole_coordinates] = x[: self._pole_count]
         return self.sections.moved(coordinates)
 
     @property
-    def _counts(self) -> tuple[int, int, int]:
+    def _section_counts(self) -> tuple[int, int, int]:
         return len(self.sections.decay), len(self.sections.decay), len(self.sections.rates)
 
     def start(self, residues: ComplexArray, feedthrough: Array) -> Array:
         """Coordinates near those of a free model with residues (n, p, m) at the poles of the `sections`."""
         x = self.sections.x if self.damped else np.abs(self.sections.x)
-        sections = self.sections_at(x[self.kept])
+        sections = self.sections_at(x[self.pole_coordinates])
         factor, unit = self._factor(self.sections), self._unit_of_pole(self.sections)
         products, weights = factor.conj() * residues, np.abs(factor) ** 2
-        scaled = np.zeros((self._units, *residues.shape[1:]), complex)
-        sums = np.zeros((self._units, *factor.shape[1:]))
+        scaled = np.zeros((self._unit_count, *residues.shape[1:]), complex)
+        sums = np.zeros((self._unit_count, *factor.shape[1:]))
         np.add.at(scaled, unit, products)
         np.add.at(sums, unit, weights)
-        values = self.nearest(np.asarray(scaled / sums, complex))
-        parts = [sections.x[self.kept], values.real.ravel()]
+        values = self.nearest_values(np.asarray(scaled / sums, complex))
+        parts = [sections.x[self.pole_coordinates], values.real.ravel()]
         parts += [] if self.real else [values.imag.ravel()]
-        return np.concatenate([*parts, feedthrough[self.through]])
+        return np.concatenate([*parts, feedthrough[self.fed_entries]])
 
-    def nearest(self, scaled: ComplexArray) -> NDArray[Any]:
+    def nearest_values(self, scaled: ComplexArray) -> NDArray[Any]:
         """Values (units, number) for matrices (units, p, m) near to these."""
         raise NotImplementedError
 
     def residue_values(self, x: Array) -> NDArray[Any]:
         """Values of the residues, shape (units, number): real if the structure says so."""
-        count = self._units * self.values
-        real = x[self._poles : self._poles + count]
-        both = real if self.real else real + 1j * x[self._poles + count : self._poles + 2 * count]
-        return both.reshape(self._units, self.values)
+        count = self._unit_count * self.values
+        real = x[self._pole_count : self._pole_count + count]
+        values = real if self.real else real + 1j * x[self._pole_count + count : self._pole_count + 2 * count]
+        return values.reshape(self._unit_count, self.values)
 
     def model(self, x: Array) -> tuple[Sections, ComplexArray, Array]:
         """Sections, residues (n, p, m) of their poles, and feedthrough (p, m)."""
-        sections, through = self.sections_at(x), np.zeros(self.through.shape)
-        through[self.through] = x[self.size - int(self.through.sum()) :]
+        sections, through = self.sections_at(x), np.zeros(self.fed_entries.shape)
+        through[self.fed_entries] = x[self.size - int(self.fed_entries.sum()) :]
         matrices = self.matrices(self.residue_values(x))[self._unit_of_pole(sections)]
         return sections, self._factor(sections) * matrices, through
 
     def sizes(self, x: Array, bin: float) -> Array:
         """Sizes of the coordinates, in which steps are compared: of a value of residues its largest in any mode."""
         sizes, largest = np.abs(x), np.abs(self.residue_values(x)).max(axis=0, initial=0.0)
-        sizes[: self._poles] = self.sections_at(x).sizes(bin)[self.kept]
-        each = np.tile(largest, self._units * (2 - self.real))
-        sizes[self._poles : self._poles + len(each)] = each
+        sizes[: self._pole_count] = self.sections_at(x).sizes(bin)[self.pole_coordinates]
+        value_sizes = np.tile(largest, self._unit_count * (2 - self.real))
+        sizes[self._pole_count : self._pole_count + len(value_sizes)] = value_sizes
         return sizes
 
     def matrices(self, values: NDArray[Any]) -> NDArray[Any]:
@@ -213,52 +213,52 @@ class StructureCoordinates:
 
     def _factor(self, sections: Sections) -> ComplexArray:
         """`g`, shape (n, p, 1); of real poles half, as they are their own conjugates."""
-        p, apart = sections.p.copy(), np.empty(len(sections.p), complex)
+        p, differences = sections.p.copy(), np.empty(len(sections.p), complex)
         slow, fast = sections.places.T
-        apart[fast] = np.where(sections.square > 0, 2j, -4.0) * sections.root
+        differences[fast] = np.where(sections.square > 0, 2j, -4.0) * sections.root
         real = sections.square <= 0
-        apart[slow[real]] = 4.0 * sections.root[real]
-        p[sections.single] = _not_zero(p[sections.single])
-        apart[sections.single] = 2.0 * p[sections.single]
-        return (p[:, None] ** self.layout.powers / apart[:, None])[:, :, None]
+        differences[slow[real]] = 4.0 * sections.root[real]
+        p[sections.single] = _nonzero(p[sections.single])
+        differences[sections.single] = 2.0 * p[sections.single]
+        return (p[:, None] ** self.layout.powers / differences[:, None])[:, :, None]
 
     def _factor_slopes(self, sections: Sections) -> ComplexArray:
         """Derivatives of the logarithm of `g` by the coordinates of the poles, shape (n, p, coordinates)."""
         p, k, n = sections.p, len(sections.decay), len(sections.p)
-        by = sections.pole_slopes[n:] + 1j * sections.pole_slopes[:n]
-        slopes = self.layout.powers[None, :, None] * (by / _not_zero(p)[:, None])[:, None]
+        pole_slopes = sections.pole_slopes[n:] + 1j * sections.pole_slopes[:n]
+        slopes = self.layout.powers[None, :, None] * (pole_slopes / _nonzero(p)[:, None])[:, None]
         for column in (0, 1):
             slopes[sections.places[:, column], :, k + np.arange(k)] -= (
                 0.5 / sections.square / np.where(sections.square > 0, 2.0, 1.0)
             )[:, None]  # a complex pole stands at both places
-        slopes[sections.single] -= (by / _not_zero(p)[:, None])[sections.single][:, None]
-        return slopes[:, :, self.kept]
+        slopes[sections.single] -= (pole_slopes / _nonzero(p)[:, None])[sections.single][:, None]
+        return slopes[:, :, self.pole_coordinates]
 
     def derivatives(self, x: Array, output: int, has_feedthrough: bool) -> Array:
         """Derivatives of the `shared` unknowns of an output, in the units of the data, shape (numbers, size)."""
         sections, values = self.sections_at(x), self.residue_values(x)
         unit, n = self._unit_of_pole(sections), len(sections.p)
         factor, slopes = self._factor(sections)[:, :, 0], self._factor_slopes(sections)
-        matrices, poles, first = self.matrices(values)[unit], np.arange(n), int(self._poles)
+        matrices, poles, pole_count = self.matrices(values)[unit], np.arange(n), int(self._pole_count)
         blocks = []
         for o, i in self.layout.entries(output):
-            by = np.zeros((n, self.size), complex)
-            by[:, :first] = (factor[:, o] * matrices[:, o, i])[:, None] * slopes[:, o]
+            residue = np.zeros((n, self.size), complex)
+            residue[:, :pole_count] = (factor[:, o] * matrices[:, o, i])[:, None] * slopes[:, o]
             for place, slope in self.slopes(values, o, i):
-                where = first + unit * self.values + place
-                by[poles, where] += factor[:, o] * slope[unit]
+                columns = pole_count + unit * self.values + place
+                residue[poles, columns] += factor[:, o] * slope[unit]
                 if not self.real:
-                    by[poles, where + self._units * self.values] += 1j * factor[:, o] * slope[unit]
-            fed = np.zeros((int(has_feedthrough), self.size))
-            if self.through[o, i]:
-                fed[:, self._through_at[o, i]] = 1.0
-            blocks += [by.real, by.imag, fed]
+                    residue[poles, columns + self._unit_count * self.values] += 1j * factor[:, o] * slope[unit]
+            feedthrough = np.zeros((int(has_feedthrough), self.size))
+            if self.fed_entries[o, i]:
+                feedthrough[:, self._feedthrough_places[o, i]] = 1.0
+            blocks += [residue.real, residue.imag, feedthrough]
         return np.concatenate(blocks) if blocks else np.zeros((0, self.size))
 
     @cached_property
-    def _through_at(self) -> Indices:
+    def _feedthrough_places(self) -> Indices:
         """Places of the feedthrough of each entry among the coordinates."""
-        return self.size - 1 - int(self.through.sum()) + np.cumsum(self.through).reshape(self.through.shape)
+        return self.size - 1 - int(self.fed_entries.sum()) + np.cumsum(self.fed_entries).reshape(self.fed_entries.shape)
 
     def slopes(self, values: NDArray[Any], output: int, input: int) -> Sequence[tuple[int, NDArray[Any]]]:
         """Places of the values that an entry depends on, and its derivative by each."""
@@ -268,21 +268,21 @@ class StructureCoordinates:
         """Derivatives of imaginary and real parts of the poles, shape (2n, size)."""
         slopes = self.sections_at(x).pole_slopes
         derivatives = np.zeros((len(slopes), self.size))
-        derivatives[:, : self._poles] = slopes[:, self.kept]
+        derivatives[:, : self._pole_count] = slopes[:, self.pole_coordinates]
         return derivatives
 
-    def free(self, x: Array) -> Mask:
+    def free_coordinates(self, x: Array) -> Mask:
         """Coordinates that may move: of several that make the same model all but one are held."""
         movable = np.ones(self.size, bool)
         if not self.real:
             # residues of real poles are real
-            count = self._units * self.values
+            count = self._unit_count * self.values
             real = np.repeat(self.sections.p.imag == 0, self.values)
-            movable[self._poles + count : self._poles + 2 * count] = ~real
+            movable[self._pole_count + count : self._pole_count + 2 * count] = ~real
         return movable
 
 
-def _not_zero(p: ComplexArray) -> ComplexArray:
+def _nonzero(p: ComplexArray) -> ComplexArray:
     return np.where(p == 0, np.finfo(float).tiny ** 0.25, p)
 
 
@@ -296,9 +296,9 @@ class MatrixCoordinates(StructureCoordinates):
     def _classes(self) -> Indices:
         """Which value each entry has, shape (p, m)."""
         classes = np.arange(self.layout.outputs * self.layout.inputs).reshape(self.layout.outputs, -1)
-        for first, here in self.layout.ports if self.reciprocal else ():
-            for second, there in self.layout.ports:
-                classes[first, there] = classes[second, here] = min(classes[first, there], classes[second, here])
+        for o, i in self.layout.ports if self.reciprocal else ():
+            for other_o, other_i in self.layout.ports:
+                classes[o, other_i] = classes[other_o, i] = min(classes[o, other_i], classes[other_o, i])
         return np.unique(classes, return_inverse=True)[1].reshape(classes.shape)
 
     @cached_property
@@ -309,12 +309,16 @@ class MatrixCoordinates(StructureCoordinates):
     @property
     def dof(self) -> int:
         """Unknowns that the data show."""
-        return self._poles + self._numbers * len(np.unique(self._classes[self.shown])) + int(self.through.sum())
+        return (
+            self._pole_count
+            + self._reals_per_value * len(np.unique(self._classes[self.shown_entries]))
+            + int(self.fed_entries.sum())
+        )
 
-    def nearest(self, scaled: ComplexArray) -> NDArray[Any]:
+    def nearest_values(self, scaled: ComplexArray) -> NDArray[Any]:
         """Means over the entries of each value."""
-        belongs = np.eye(self.values)[self._classes[self.shown]]
-        return scaled[:, self.shown] @ (belongs / np.maximum(belongs.sum(axis=0), 1))
+        membership = np.eye(self.values)[self._classes[self.shown_entries]]
+        return scaled[:, self.shown_entries] @ (membership / np.maximum(membership.sum(axis=0), 1))
 
     def matrices(self, values: NDArray[Any]) -> NDArray[Any]:
         """Residues over their factor, shape (n, p, m)."""
@@ -322,7 +326,7 @@ class MatrixCoordinates(StructureCoordinates):
 
     def slopes(self, values: NDArray[Any], output: int, input: int) -> Sequence[tuple[int, NDArray[Any]]]:
         """One value for each entry."""
-        return [(int(self._classes[output, input]), np.ones(self._units))]
+        return [(int(self._classes[output, input]), np.ones(self._unit_count))]
 
 
 @dataclass(frozen=True)
@@ -335,12 +339,12 @@ class ShapeCoordinates(StructureCoordinates):
     def _places(self) -> tuple[Indices, Indices]:
         """Which number each output and each input has."""
         p, m = self.layout.outputs, self.layout.inputs
-        place = np.arange(p + m)
+        numbers = np.arange(p + m)
         for output, input in self.layout.ports if self.tied else ():
-            first, second = place[output], place[p + input]
-            place[place == max(first, second)] = min(first, second)
-        place = np.unique(place, return_inverse=True)[1]
-        return place[:p], place[p:]
+            first, second = numbers[output], numbers[p + input]
+            numbers[numbers == max(first, second)] = min(first, second)
+        numbers = np.unique(numbers, return_inverse=True)[1]
+        return numbers[:p], numbers[p:]
 
     @cached_property
     def values(self) -> int:
@@ -361,29 +365,31 @@ class ShapeCoordinates(StructureCoordinates):
         """
         outputs, inputs = self._places
         count = self.values
-        first, second = outputs[np.nonzero(self.shown)[0]], inputs[np.nonzero(self.shown)[1]]
+        first, second = outputs[np.nonzero(self.shown_entries)[0]], inputs[np.nonzero(self.shown_entries)[1]]
         # each number on either side of the products: they are one half and the other unless some set meets itself
         links = np.zeros((2 * count, 2 * count), bool)
         links[first, count + second] = links[second, count + first] = True
         labels = connected_components(links, directed=False)[1]
-        parted = np.flatnonzero(labels[:count] != labels[count:])
-        sets = {tuple(np.unique(np.flatnonzero(labels == labels[node]) % count).tolist()) for node in parted}
+        free_nodes = np.flatnonzero(labels[:count] != labels[count:])
+        sets = {tuple(np.unique(np.flatnonzero(labels == labels[node]) % count).tolist()) for node in free_nodes}
         return [np.array(gauge) for gauge in sorted(sets)]
 
     @property
     def dof(self) -> int:
         """Unknowns that the data show."""
-        return self._poles + self._numbers * (self.values - len(self._gauges)) + int(self.through.sum())
+        return (
+            self._pole_count + self._reals_per_value * (self.values - len(self._gauges)) + int(self.fed_entries.sum())
+        )
 
-    def free(self, x: Array) -> Mask:
+    def free_coordinates(self, x: Array) -> Mask:
         """All but the largest of the numbers that share a scale."""
-        sizes, held = np.abs(self.residue_values(x)), np.zeros((self._units, self.values), bool)
+        sizes, fixed = np.abs(self.residue_values(x)), np.zeros((self._unit_count, self.values), bool)
         for gauge in self._gauges:
-            held[np.arange(self._units), gauge[np.argmax(sizes[:, gauge], axis=1)]] = True
-        movable = super().free(x)
-        movable[self._poles :][: held.size] &= ~held.ravel()
+            fixed[np.arange(self._unit_count), gauge[np.argmax(sizes[:, gauge], axis=1)]] = True
+        movable = super().free_coordinates(x)
+        movable[self._pole_count :][: fixed.size] &= ~fixed.ravel()
         if not self.real:
-            movable[self._poles + held.size :][: held.size] &= ~held.ravel()
+            movable[self._pole_count + fixed.size :][: fixed.size] &= ~fixed.ravel()
         return movable
 
     def turned_to_positive(self, residues: ComplexArray) -> ComplexArray:
@@ -391,27 +397,29 @@ class ShapeCoordinates(StructureCoordinates):
         factor = self._factor(self.sections)
         return np.asarray(np.abs(residues / factor) * factor)
 
-    def nearest(self, scaled: ComplexArray) -> NDArray[Any]:
+    def nearest_values(self, scaled: ComplexArray) -> NDArray[Any]:
         """From the first singular vectors, scaled so that output and input agree at ports as far as they can."""
         outputs, inputs = self._places
-        kept = np.where(self.shown, scaled.real if self.real else scaled, 0.0)
-        U, sizes, Vh = np.linalg.svd(kept, full_matrices=False)
+        matrices = np.where(self.shown_entries, scaled.real if self.real else scaled, 0.0)
+        U, sizes, Vh = np.linalg.svd(matrices, full_matrices=False)
         root = np.sqrt(sizes[:, :1])
         c, b = U[:, :, 0] * root, Vh[:, 0] * root
-        values = np.zeros((self._units, self.values), kept.dtype)
+        values = np.zeros((self._unit_count, self.values), matrices.dtype)
         if self.tied and self.layout.ports:
-            at_outputs, at_inputs = (np.array(channels) for channels in zip(*self.layout.ports, strict=True))
+            port_outputs, port_inputs = (np.array(channels) for channels in zip(*self.layout.ports, strict=True))
             # of c t and b / t, which agree where t**2 = b / c
-            square = np.sum(c[:, at_outputs].conj() * b[:, at_inputs], axis=1) / np.maximum(
-                np.sum(np.abs(c[:, at_outputs]) ** 2, axis=1), np.finfo(float).tiny
+            square_scale = np.sum(c[:, port_outputs].conj() * b[:, port_inputs], axis=1) / np.maximum(
+                np.sum(np.abs(c[:, port_outputs]) ** 2, axis=1), np.finfo(float).tiny
             )
-            wrong = square.real <= 0 if self.real else square == 0
-            turn = np.where(wrong, 1.0, np.sqrt(np.where(wrong, 1.0, square)))[:, None]
-            c, b = c * turn, b / turn
-            b[:, at_inputs] = np.where(
-                wrong[:, None], _NOTHING * np.abs(b[:, at_inputs]), 0.5 * (b[:, at_inputs] + c[:, at_outputs])
+            wrong_sign = square_scale.real <= 0 if self.real else square_scale == 0
+            scale = np.where(wrong_sign, 1.0, np.sqrt(np.where(wrong_sign, 1.0, square_scale)))[:, None]
+            c, b = c * scale, b / scale
+            b[:, port_inputs] = np.where(
+                wrong_sign[:, None],
+                _NOTHING * np.abs(b[:, port_inputs]),
+                0.5 * (b[:, port_inputs] + c[:, port_outputs]),
             )
-            c[:, at_outputs] = b[:, at_inputs]
+            c[:, port_outputs] = b[:, port_inputs]
         values[:, inputs] = b
         values[:, outputs] = c
         return values
