@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from ..._types import Array
 from ..data.channels import Recording
 from ..regression.elimination import orthogonal, without
-from ..regression.free import FreeProjection, GivenResidues, by_poles, places_of, refine_free
+from ..regression.free import FreeProjection, GivenResidues, input_places, pole_derivatives, refine_free
 from ..regression.modal_regressors import SampledModes
 from ..regression.prediction import FittedChannels
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
@@ -230,12 +230,12 @@ def _leverages(near: FreeProjection) -> list[Array]:
     """Of each record and output (q, bins) the diagonal of the projection on what was fitted, the mean of both parts."""
     n, own, shared, slopes = len(near.p), list[Array](), list[Array](), list[Array]()
     for window, mine in zip(near.experiments, near.own, strict=True):
-        columns, place = next(iter(window.evaluated(near.p).blocks())).T, places_of(window, n)
+        columns, place = next(iter(window.evaluated(near.p).blocks())).T, input_places(window, n)
         basis = orthogonal(columns[:, : 2 * n])[0]
         every = np.zeros((len(columns), len(near.shared)))
         every[:, place] = columns[:, 2 * n : 2 * n + len(place)]
         moved = columns[:, 2 * n + len(place) : columns.shape[1] - len(window.outputs)]
-        each = [by_poles(moved, window, mine[:, o], near.residues[:, o]) for o in window.outputs]
+        each = [pole_derivatives(moved, window, mine[:, o], near.residues[:, o]) for o in window.outputs]
         own.append(basis)
         shared.append(without(every, basis))
         slopes.append(np.stack([without(slope, basis) for slope in each]))

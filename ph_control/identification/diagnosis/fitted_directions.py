@@ -15,7 +15,7 @@ from ...modal.discretization import Hold
 from ..data.channels import Recording
 from ..data.frequency_record import InFrequency
 from ..data.time_record import Record
-from ..regression.free import by_poles
+from ..regression.free import pole_derivatives
 from ..regression.frequency_rows import FreeResponse, terms_in
 from ..regression.spectral_rows import stacked
 from ..regression.time_rows import FreeRecord
@@ -100,7 +100,8 @@ def _of_record(data: Any, result: Any) -> Directions:
     columns = np.nan_to_num(rows.placed(np.concatenate(list(rows.evaluated(p).blocks()), axis=1)))
     own, shared = rows.own_unknowns(n), rows.inputs * (2 * n + through)
     motion = 0.5 * np.concatenate([data.free_amplitudes.real, data.free_amplitudes.imag])
-    moved = by_poles(columns[own + shared : -1].T, rows, motion, rho[:, None])  # motions at the first sample, nearly
+    # motions at the first sample, nearly
+    moved = pole_derivatives(columns[own + shared : -1].T, rows, motion, rho[:, None])
     # by real, then imaginary parts of the poles, the residues, and what is fed through
     every = np.concatenate([moved[:, n:], moved[:, :n], columns[own : own + shared].T], axis=1)
     moves = data.free_amplitudes.any() or not record.driven

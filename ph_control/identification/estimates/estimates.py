@@ -133,7 +133,7 @@ class _FittedStructure:
         """Delay of each output and its standard error: NaN if known to a sample only, 0 if it was given."""
         fit, free, places = self.fit, self.free, places_of(self.free)
         if fit.delays is not None:
-            return fit.delays.each[places], fit.delay_errors[fit.delays.groups][places]
+            return fit.delays.by_output[places], fit.delay_errors[fit.delays.groups][places]
         late = np.broadcast_to(free.delay, free.scales.shape)[places]
         return late.copy(), np.where(late != 0, np.nan if free.delay_open else 0.0, 0.0)
 
@@ -165,7 +165,7 @@ def _covariance_of(structure: _FittedStructure) -> Array:
     real, imag, through = split(places)
     order = np.concatenate([rank, n + rank, real[rank].ravel(), imag[rank].ravel(), through.ravel()]).astype(int)
     unit = [np.ones(2 * n), *(part.ravel() for part in (split(scales)[0], split(scales)[1], split(scales)[2]))]
-    seen = split(projection.shown.astype(float))
+    seen = split(projection.excited_unknowns.astype(float))
     lost = np.concatenate([np.zeros(2 * n), *((part == 0).ravel() for part in (seen[0][rank], seen[1][rank], seen[2]))])
     given = fit.covariance if n else projection.covariance(fit.variance)
     J, inner = natural_jacobian(fit.p), given.copy()
@@ -198,9 +198,9 @@ def _blind(structure: _FittedStructure) -> Mask:
     if not fit.point.deficiency:
         return np.zeros(fit.projection.shared.shape, bool)
     if len(free.projection.p) == len(fit.p):
-        return free.projection.blind
+        return free.projection.unidentifiable_unknowns
     # a pair of the free model may be two real poles under a structure
-    return FreeProjection(free.projection.experiments, fit.p, free.projection.fed).blind
+    return FreeProjection(free.projection.experiments, fit.p, free.projection.fed).unidentifiable_unknowns
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,7 +302,7 @@ def _unknowns(structure: _FittedStructure) -> int:
     """Number of estimated numbers: those of the free fit, less what the structure saves, with delays and variances."""
     fit, free = structure.fit, structure.free
     delays = 0 if fit.delays is None else fit.delays.count
-    extra = fit.parameters - delays - (len(free.projection.x) + int(free.projection.shown.sum()))
+    extra = fit.parameters - delays - (len(free.projection.x) + int(free.projection.excited_unknowns.sum()))
     late = sum(finding.cause is Cause.INPUT_DELAY for finding in free.findings)
     return free.unknowns + min(0, extra) + delays + len(free.scales) + late
 

@@ -19,7 +19,7 @@ from ...exceptions import StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording
 from ..regression.elimination import eliminate, reduced
-from ..regression.free import by_poles
+from ..regression.free import pole_derivatives
 from ..regression.modal_regressors import SampledModes
 from ..regression.time_rows import FreeRecord
 from ..uncertainty.fisher import Information
@@ -75,7 +75,7 @@ class RecordSensitivities:
             if own:
                 J[:, k, k * own : (k + 1) * own] = self._motion
             amplitudes = np.concatenate([self._free_motion[:, o].real, self._free_motion[:, o].imag])
-            slopes = by_poles(self._slopes, self._rows, amplitudes, self._plant.residues[:, o])
+            slopes = pole_derivatives(self._slopes, self._rows, amplitudes, self._plant.residues[:, o])
             J[:, k, len(outputs) * own :] = slopes @ unknowns.by_poles[:, near]
             J[:, k, len(outputs) * own :] += self._shared @ unknowns.by_shared[o][:, near]
         _checks.representable("the sensitivities of the outputs", J)

@@ -334,7 +334,7 @@ def _beside(
     experiments = experiments_of(projection, free.channels)
     if experiments is None or projection.deficiency:
         return None
-    problem = Problem(experiments, projection.shown, fed=fed)
+    problem = Problem(experiments, projection.excited_unknowns, fed=fed)
     begun = initial_noise(projection, rows[0].hold.h) if noise is None else noise
     model = InnovationsModel(begun, projection.shared, tuple(projection.own))
     return problem, model if noise is None else problem.driven_best(model)
@@ -459,7 +459,7 @@ def _driven_anew(best: Minimum, noise: NoiseSections) -> Minimum:
     problem = best.evaluation.problem
     rows = [part for experiment in problem.experiments for part in experiment.rows]
     driven = FreeProjection(rows, noise.sections.p, problem.fed, noise.sections)
-    problem = Problem(problem.experiments, driven.shown, problem.coloured, problem.fed)
+    problem = Problem(problem.experiments, driven.excited_unknowns, problem.coloured, problem.fed)
     # the gains of others need not make a predictor
     noise = noise.that_forgets(best.evaluation.covariance)
     return followed(problem, InnovationsModel(noise, driven.shared, tuple(driven.own)), _ROUGH, _STEPS)

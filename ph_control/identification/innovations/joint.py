@@ -100,7 +100,7 @@ class JointProjection(GivenResidues):
         """Number of real unknowns, those of the noise among them."""
         return self._unknowns
 
-    def given(
+    def with_unknowns(
         self, p: ComplexArray, shared: Array, sections: Sections | None = None,
         experiments: Sequence[FreeRows] | None = None,
     ) -> GivenResidues:  # fmt: skip

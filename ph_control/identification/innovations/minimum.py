@@ -22,7 +22,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from ..._checks import EPS
 from ..._heartbeat import alive
 from ..._types import Array, ComplexArray, Indices, Mask
-from ..regression.free import places_of
+from ..regression.free import input_places
 from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
 from .noise_sections import NoiseSections
@@ -98,7 +98,7 @@ class Experiment:
             columns = np.concatenate(list(rows.evaluated(p).blocks()), axis=1)
             spectra = np.fft.rfft(columns[: len(columns) - len(rows.outputs)]) / np.sqrt(rows.length)
             own = rows.own_unknowns(n)
-            width = own + len(places_of(rows, n))
+            width = own + len(input_places(rows, n))
             parts.append(DrivenPart(rows, spectra[:width], spectra[width:], own))
         return parts
 
@@ -256,7 +256,7 @@ class LikelihoodEvaluation:
         for experiment, parts in zip(self.problem.experiments, self.parts, strict=True):
             V = experiment.Y.copy()
             for part in parts:
-                shared = self.point.shared[np.ix_(places_of(part.rows, len(self.point.poles)), part.rows.outputs)]
+                shared = self.point.shared[np.ix_(input_places(part.rows, len(self.point.poles)), part.rows.outputs)]
                 V[part.rows.outputs] -= np.concatenate([next(own), shared]).T @ part.columns
             if not parts and self.point.states:
                 V -= self._motion(experiment, next(states))
@@ -502,7 +502,7 @@ class LikelihoodEvaluation:
         self, J: ComplexArray, part: DrivenPart, mine: Array, W: ComplexArray, numbers: Indices, column: int
     ) -> None:
         F, outputs = part.columns.T, part.rows.outputs
-        places = places_of(part.rows, len(self.point.poles))
+        places = input_places(part.rows, len(self.point.poles))
         for k, output in enumerate(outputs.tolist()):
             along = -W[:, :, output, None]
             J[:, :, column + np.arange(len(mine)) * len(outputs) + k] = along * F[:, None, : part.own]

@@ -31,7 +31,7 @@ from ..data.frequency_record import BandedFactor, LineErrors
 from ..data.windowed import WindowErrors, error_bands
 from ..growth.ending import finished
 from ..growth.growing import chosen, cleaned
-from ..regression.free import FreeProjection, by_poles
+from ..regression.free import FreeProjection, pole_derivatives
 from ..regression.frequency_rows import FreeResponse
 from ..regression.spectral_rows import real_rows
 from ..regression.tuning import TUNING
@@ -452,7 +452,7 @@ class _Entry:
         columns, entry = next(plain.evaluated(projection.p).blocks()), int(rows.outputs[0])
         linear = plain.own_unknowns(n) + 2 * n + plain.through
         derivatives = columns[linear : linear + 4 * n].T
-        slopes = by_poles(derivatives, plain, projection.own[k][:, 0], projection.residues[:, entry])
+        slopes = pole_derivatives(derivatives, plain, projection.own[k][:, 0], projection.residues[:, entry])
         parts = np.concatenate([columns[:linear], slopes.T, columns[-1:]])
         parts[-1] *= fit.scales[entry]
         half = len(plain.omega)

@@ -88,7 +88,7 @@ class Delays:
         return len(self.values)
 
     @property
-    def each(self) -> Array:
+    def by_output(self) -> Array:
         """Delay of each output."""
         return self.values[self.groups]
 
@@ -96,10 +96,10 @@ class Delays:
         """Rows with these delays, of outputs that share one."""
         delayed = list[Rows]()
         for rows in experiments:
-            each = self.groups[rows.outputs]
-            for group in np.unique(each).tolist():
-                part = rows if np.all(each == group) else rows.among_outputs(each == group)
-                delayed.append(part.delayed(float(self.values[group]), self.least, self.most))
+            groups = self.groups[rows.outputs]
+            for group in np.unique(groups).tolist():
+                selection = rows if np.all(groups == group) else rows.among_outputs(groups == group)
+                delayed.append(selection.delayed(float(self.values[group]), self.least, self.most))
         return delayed
 
     def inside(self, values: Array) -> Array:
@@ -124,7 +124,7 @@ class _ExperimentColumns:
     @classmethod
     def of(cls, rows: FreeRows, columns: Array, n: int, shared: int) -> _ExperimentColumns:
         """Columns in the order of `FreeRows`; `shared` are those that any experiment has."""
-        places, last = places_of(rows, n), columns.shape[1] - len(rows.outputs)
+        places, last = input_places(rows, n), columns.shape[1] - len(rows.outputs)
         own = len(places)
         padded = np.zeros((len(columns), shared))
         padded[:, places] = columns[:, :own]
@@ -132,7 +132,7 @@ class _ExperimentColumns:
 
 
 @dataclass(frozen=True)
-class _Together:
+class _OutputGroup:
     """Outputs that are shown by the same experiments, and their columns with what solves for the shared unknowns.
 
     Of these the places in `absent` are 0; `rows` is the number of samples of which rounding is left out.
@@ -163,8 +163,8 @@ class _Together:
 
     def slopes(self, by_poles: Array) -> tuple[Array, Array]:
         """Derivatives by the poles without what the shared unknowns absorb, and how these then change."""
-        along = self.basis.T @ by_poles
-        return by_poles - self.basis @ along, -self.solve @ along
+        coefficients = self.basis.T @ by_poles
+        return by_poles - self.basis @ coefficients, -self.solve @ coefficients
 
 
 class FreeProjection(LinearProjection):
@@ -200,22 +200,22 @@ class FreeProjection(LinearProjection):
         return any(rows.through and rows.inputs > 0 for rows in self.experiments)
 
     @property
-    def shown(self) -> Mask:
+    def excited_unknowns(self) -> Mask:
         """Which numbers of `shared` leave a trace in any experiment."""
-        shown = np.zeros(self.shared.shape, bool)
+        excited = np.zeros(self.shared.shape, bool)
         for group in self._groups:
-            shown[:, group.outputs] = np.any(group.columns, axis=0, keepdims=True).T
-        return shown
+            excited[:, group.outputs] = np.any(group.columns, axis=0, keepdims=True).T
+        return excited
 
     @cached_property
-    def blind(self) -> Mask:
+    def unidentifiable_unknowns(self) -> Mask:
         """Numbers of `shared` in a combination that leaves no trace, as residues under an input of one sine."""
-        blind = np.zeros(self.shared.shape, bool)
+        unidentifiable = np.zeros(self.shared.shape, bool)
         for group in self._groups:
             present = np.flatnonzero(np.any(group.columns, axis=0))
             null = null_space(group.columns[:, present], self.rows)
-            blind[np.ix_(present, np.asarray(group.outputs))] = np.any(np.abs(null) > _TRACE, axis=0)[:, None]
-        return blind
+            unidentifiable[np.ix_(present, np.asarray(group.outputs))] = np.any(np.abs(null) > _TRACE, axis=0)[:, None]
+        return unidentifiable
 
     @property
     def deficiency(self) -> int:
@@ -235,7 +235,7 @@ class FreeProjection(LinearProjection):
         own = sum(
             (rows.own_unknowns(len(self.p)) - real * rows.moving) * len(rows.outputs) for rows in self.experiments
         )  # fmt: skip
-        return len(self.x) + int(self.shown.sum()) + own
+        return len(self.x) + int(self.excited_unknowns.sum()) + own
 
     @property
     def _shared_unknowns(self) -> int:
@@ -246,7 +246,7 @@ class FreeProjection(LinearProjection):
         """Triangular factor of all columns of each experiment."""
         return [rows.evaluated(self.p).factor(rows.samples) for rows in self.experiments]
 
-    def given(
+    def with_unknowns(
         self, p: ComplexArray, shared: Array, sections: Sections | None = None,
         experiments: Sequence[FreeRows] | None = None,
     ) -> GivenResidues:  # fmt: skip
@@ -276,7 +276,7 @@ class FreeProjection(LinearProjection):
         projection.factors = []
         for rows, factor in zip(self.experiments, self.factors, strict=True):
             columns = np.arange(factor.shape[1])
-            for first in self._firsts(rows):
+            for first in self._mode_columns(rows):
                 columns[first + modes] = first + rank
             projection.factors.append(reduced(np.asfortranarray(factor[:, columns])))
         return projection
@@ -289,11 +289,11 @@ class FreeProjection(LinearProjection):
             return projection  # fewer modes leave unknowns to others
         projection.factors = []
         for rows, factor in zip(self.experiments, self.factors, strict=True):
-            dropped = [first + k for first in self._firsts(rows)]
+            dropped = [first + k for first in self._mode_columns(rows)]
             projection.factors.append(reduced(np.asfortranarray(np.delete(factor, dropped, axis=1))))
         return projection
 
-    def _firsts(self, rows: FreeRows) -> list[int]:
+    def _mode_columns(self, rows: FreeRows) -> list[int]:
         """First columns of all that factors have of each mode, in the order of the modes."""
         n = len(self.p)
         width, own = 2 * n + rows.through, rows.own_unknowns(n)
@@ -320,27 +320,27 @@ class FreeProjection(LinearProjection):
         return parts
 
     @cached_property
-    def _groups(self) -> list[_Together]:
-        shown: dict[tuple[tuple[int, ...], tuple[int, ...]], list[int]] = {}
+    def _groups(self) -> list[_OutputGroup]:
+        outputs_by_members: dict[tuple[tuple[int, ...], tuple[int, ...]], list[int]] = {}
         for output in range(1 + max(int(rows.outputs.max()) for rows in self.experiments)):
             members = tuple(k for k, rows in enumerate(self.experiments) if output in rows.outputs)
-            shown.setdefault((members, self._held(output)), []).append(output)
+            outputs_by_members.setdefault((members, self._absent_feedthrough(output)), []).append(output)
         groups = []
-        for (members, held), outputs in shown.items():
+        for (members, absent), outputs in outputs_by_members.items():
             columns = np.concatenate([self._parts[k][2].shared for k in members])
-            columns[:, list(held)] = 0.0
-            targets = np.concatenate([self._parts[k][2].outputs[:, self._places(k, outputs)] for k in members])
-            groups.append(_Together(outputs, members, columns, targets, held, self.rows))
+            columns[:, list(absent)] = 0.0
+            targets = np.concatenate([self._parts[k][2].outputs[:, self._output_places(k, outputs)] for k in members])
+            groups.append(_OutputGroup(outputs, members, columns, targets, absent, self.rows))
         return groups
 
-    def _held(self, output: int) -> tuple[int, ...]:
+    def _absent_feedthrough(self, output: int) -> tuple[int, ...]:
         """Places of what is not fed through to an output among the shared unknowns."""
         if self.fed is None or not self.has_feedthrough:
             return ()
         width = 2 * len(self.p) + 1
         return tuple(width * k + width - 1 for k in range(self.inputs) if not self.fed[output, k])
 
-    def _places(self, experiment: int, outputs: list[int]) -> Indices:
+    def _output_places(self, experiment: int, outputs: list[int]) -> Indices:
         """Places of outputs among those of an experiment."""
         return np.array([np.flatnonzero(self.experiments[experiment].outputs == output)[0] for output in outputs])
 
@@ -363,21 +363,21 @@ class FreeProjection(LinearProjection):
     @property
     def fed_through(self) -> Mask:
         """Which entries (outputs, inputs) are fed through."""
-        every = np.ones((self.shared.shape[1], self.inputs), bool)
-        return every & self.has_feedthrough if self.fed is None else self.fed
+        entries = np.ones((self.shared.shape[1], self.inputs), bool)
+        return entries & self.has_feedthrough if self.fed is None else self.fed
 
     @property
     def residues(self) -> ComplexArray:
         """Residues `rho`, shape (n, outputs, inputs)."""
         n = len(self.p)
-        each = self.shared.reshape(self.inputs, -1 if self.inputs else 2 * n, self.shared.shape[1])
-        return np.transpose(each[:, :n] + 1j * each[:, n : 2 * n], (1, 2, 0))
+        unknowns = self.shared.reshape(self.inputs, -1 if self.inputs else 2 * n, self.shared.shape[1])
+        return np.transpose(unknowns[:, :n] + 1j * unknowns[:, n : 2 * n], (1, 2, 0))
 
     @property
     def feedthrough(self) -> Array:
         """What is fed through, shape (outputs, inputs)."""
-        each = self.shared.reshape(self.inputs, -1 if self.inputs else 1, self.shared.shape[1])
-        return each[:, -1].T if self.has_feedthrough else np.zeros((self.shared.shape[1], self.inputs))
+        unknowns = self.shared.reshape(self.inputs, -1 if self.inputs else 1, self.shared.shape[1])
+        return unknowns[:, -1].T if self.has_feedthrough else np.zeros((self.shared.shape[1], self.inputs))
 
     @cached_property
     def own(self) -> list[Array]:
@@ -410,7 +410,7 @@ class FreeProjection(LinearProjection):
             return self._predictions
         n, predictions = len(self.p), list[NDArray[Any]]()
         for rows, own in zip(self.experiments, self.own, strict=True):
-            shared = self.shared[np.ix_(places_of(rows, n), rows.outputs)]
+            shared = self.shared[np.ix_(input_places(rows, n), rows.outputs)]
             predictions.append(rows.evaluated(self.p).predict(shared, own))
             predictions[-1].flags.writeable = self.rows > LONG
         self._predictions = predictions if self.rows <= LONG else None
@@ -424,19 +424,19 @@ class FreeProjection(LinearProjection):
         rows, (inverse, above, _) = self.experiments[experiment], self._parts[experiment]
         n, width, pairs = len(self.p), len(self.shared), []
         for own, output in zip(self.own[experiment].T, rows.outputs.tolist(), strict=True):
-            slopes = by_poles(above.derivatives, rows, own, self.residues[:, output])
-            along = -inverse @ np.concatenate([slopes, above.shared], axis=1)
+            slopes = pole_derivatives(above.derivatives, rows, own, self.residues[:, output])
+            jacobian = -inverse @ np.concatenate([slopes, above.shared], axis=1)
             places = np.append(np.arange(2 * n), 2 * n + output * width + np.arange(width)).astype(int)
-            crossed = along @ covariance[np.ix_(places, places)]
-            pairs.append((variance * inverse @ inverse.T + crossed @ along.T, crossed))
+            cross = jacobian @ covariance[np.ix_(places, places)]
+            pairs.append((variance * inverse @ inverse.T + cross @ jacobian.T, cross))
         return pairs
 
-    def _slopes(self, group: _Together, output: int) -> Array:
+    def _pole_slopes(self, group: _OutputGroup, output: int) -> Array:
         """Derivatives of an output by imaginary and real parts of the poles, in the rows of its group."""
         slopes = []
         for k in group.experiments:
-            rows, own = self.experiments[k], self.own[k][:, self._places(k, [output])[0]]
-            slopes.append(by_poles(self._parts[k][2].derivatives, rows, own, self.residues[:, output]))
+            rows, own = self.experiments[k], self.own[k][:, self._output_places(k, [output])[0]]
+            slopes.append(pole_derivatives(self._parts[k][2].derivatives, rows, own, self.residues[:, output]))
         return np.concatenate(slopes)
 
     def delay_slopes(self, output: int) -> Array:
@@ -444,92 +444,92 @@ class FreeProjection(LinearProjection):
         (group,) = (group for group in self._groups if output in group.outputs)
         slopes = []
         for k in group.experiments:
-            own = self.own[k][:, self._places(k, [output])[0]]
+            own = self.own[k][:, self._output_places(k, [output])[0]]
             parts = self._parts[k][2], self.experiments[k], self.p
-            slopes.append(by_delay(*parts, own, self.residues[:, output], self.feedthrough[output]))
+            slopes.append(delay_derivative(*parts, own, self.residues[:, output], self.feedthrough[output]))
         return np.concatenate(slopes)
 
     @cached_property
     def condensed(self) -> tuple[Array, Array]:
         """Residual and its Jacobian by the coordinates, all else moving along."""
-        parts, along = [], self.sections.pole_slopes
+        parts, pole_slopes = [], self.sections.pole_slopes
         for group in self._groups:
             for output, target in zip(group.outputs, group.targets.T, strict=True):
-                rows = np.column_stack([-self._slopes(group, output) @ along, target])
+                rows = np.column_stack([-self._pole_slopes(group, output) @ pole_slopes, target])
                 parts.append(without(rows, group.basis))
         R = reduced(np.asfortranarray(np.concatenate(parts)))
         return R[:, -1], R[:, :-1]
 
     @cached_property
-    def held(self) -> Mask:
+    def held_coordinates(self) -> Mask:
         """Which coordinates are at a border that a descent would push them across."""
         residual, jacobian = self.condensed
-        none = np.zeros(len(self.x), bool)
-        return none if self.region is None else self.region.held(self.x, jacobian.T @ residual)
+        nothing = np.zeros(len(self.x), bool)
+        return nothing if self.region is None else self.region.held(self.x, jacobian.T @ residual)
 
     @cached_property
     def gradient(self) -> Array:
         """Half the gradient of the loss, 0 for what is held."""
         residual, jacobian = self.condensed
-        return np.where(self.held, 0.0, jacobian.T @ residual)
+        return np.where(self.held_coordinates, 0.0, jacobian.T @ residual)
 
     @cached_property
     def gram(self) -> Array:
         """`J^T J` of the residuals, 0 for what is held."""
-        jacobian = np.where(self.held, 0.0, self.condensed[1])
+        jacobian = np.where(self.held_coordinates, 0.0, self.condensed[1])
         return np.asarray(jacobian.T @ jacobian)
 
     def covariance(self, variance: float) -> Array:
         """Covariance of imaginary and real parts of the poles, then `shared` by outputs, for a variance of the rows."""
-        n, width, by = len(self.p), self._shared_unknowns, self.sections.pole_slopes
-        along = np.zeros((2 * n + self.shared.size, len(self.x)))
-        along[: 2 * n] = by
+        n, width, pole_slopes = len(self.p), self._shared_unknowns, self.sections.pole_slopes
+        jacobian = np.zeros((2 * n + self.shared.size, len(self.x)))
+        jacobian[: 2 * n] = pole_slopes
         remainders, places = [np.zeros((0, len(self.x)))], {}
         for group in self._groups:
             for output in group.outputs:
-                rest, moved = group.slopes(self._slopes(group, output) @ by)
+                remainder, unknown_slopes = group.slopes(self._pole_slopes(group, output) @ pole_slopes)
                 places[output] = slice(2 * n + output * width, 2 * n + (output + 1) * width)
-                along[places[output]] = moved
-                remainders.append(rest)
+                jacobian[places[output]] = unknown_slopes
+                remainders.append(remainder)
         covariance = (
-            along @ inverse_gram(np.concatenate(remainders)) @ along.T if n else np.zeros((self.shared.size,) * 2)
+            jacobian @ inverse_gram(np.concatenate(remainders)) @ jacobian.T if n else np.zeros((self.shared.size,) * 2)
         )
         for group in self._groups:
             for output in group.outputs:
                 covariance[places[output], places[output]] += group.solve @ group.solve.T
         if have_shared_errors(self.experiments):
-            covariance = covariance + self._of_shared_errors()
+            covariance = covariance + self._shared_error_covariance()
         return variance * covariance
 
     @property
     def excess(self) -> float:
         """How many more squares than it has unknowns the model takes of errors that entries have in common."""
-        _, inverse, scores = self._crossed
+        _, inverse, scores = self._score_moments
         return float(np.sum(inverse * scores))
 
-    def _of_shared_errors(self) -> Array:
+    def _shared_error_covariance(self) -> Array:
         """What errors that entries have in common add to the covariance."""
-        turn, inverse, scores = self._crossed
-        return np.asarray(turn @ inverse @ scores @ inverse @ turn.T)
+        derivatives, inverse, scores = self._score_moments
+        return np.asarray(derivatives @ inverse @ scores @ inverse @ derivatives.T)
 
     @cached_property
-    def _crossed(self) -> tuple[Array, Array, Array]:
+    def _score_moments(self) -> tuple[Array, Array, Array]:
         """Derivatives of what a covariance is of by all coordinates, the inverse Gram matrix and scores of these."""
         k, n = len(self.x), len(self.p)
         jacobians = {}
         for place, rows in enumerate(self.experiments):
-            by_poles, by_shared = self.in_rows(place)
+            by_poles, by_shared = self.row_jacobians(place)
             columns = np.zeros((len(by_poles), k + self.shared.size))
             start = k + int(rows.outputs[0]) * len(self.shared)
             columns[:, :k] = by_poles @ self.sections.pole_slopes
             columns[:, start : start + len(self.shared)] = by_shared
             jacobians[place] = columns
         inverse = inverse_gram(np.concatenate([reduced(np.asfortranarray(J)) for J in jacobians.values()]))
-        turn = np.zeros((2 * n + self.shared.size, k + self.shared.size))
-        turn[: 2 * n, :k], turn[2 * n :, k:] = self.sections.pole_slopes, np.eye(self.shared.size)
-        return turn, inverse, shared_score_covariance(self.experiments, jacobians)
+        derivatives = np.zeros((2 * n + self.shared.size, k + self.shared.size))
+        derivatives[: 2 * n, :k], derivatives[2 * n :, k:] = self.sections.pole_slopes, np.eye(self.shared.size)
+        return derivatives, inverse, shared_score_covariance(self.experiments, jacobians)
 
-    def in_rows(self, place: int) -> tuple[Array, Array]:
+    def row_jacobians(self, place: int) -> tuple[Array, Array]:
         """Derivatives of the one output of an experiment by poles and by what is shared, in all its rows.
 
         By imaginary and real parts of the poles; what belongs to the experiment is eliminated.
@@ -538,9 +538,9 @@ class FreeProjection(LinearProjection):
         columns = np.concatenate(list(rows.evaluated(self.p).blocks()), axis=1).T
         own, output = rows.own_unknowns(n), int(rows.outputs[0])
         parts = _ExperimentColumns.of(rows, columns[:, own:], n, self._shared_unknowns)
-        slopes = by_poles(parts.derivatives, rows, self.own[place][:, 0], self.residues[:, output])
-        held = list(self._held(output))
-        parts.shared[:, held] = 0.0
+        slopes = pole_derivatives(parts.derivatives, rows, self.own[place][:, 0], self.residues[:, output])
+        absent = list(self._absent_feedthrough(output))
+        parts.shared[:, absent] = 0.0
         basis, _ = orthogonal(columns[:, :own], len(columns))
         return without(slopes, basis), without(parts.shared, basis)
 
@@ -568,8 +568,8 @@ class GivenResidues(FreeProjection):
     @cached_property
     def condensed(self) -> tuple[Array, Array]:
         """Residual and its Jacobian by the coordinates, the shared unknowns at rest."""
-        along = self.sections.pole_slopes
-        rows = [np.column_stack([slopes @ along, residual]) for _, residual, slopes, _ in self.sensitivities()]
+        pole_slopes = self.sections.pole_slopes
+        rows = [np.column_stack([slopes @ pole_slopes, residual]) for _, residual, slopes, _ in self.sensitivities()]
         R = reduced(np.asfortranarray(np.concatenate(rows)))
         return R[:, -1], R[:, :-1]
 
@@ -581,19 +581,19 @@ class GivenResidues(FreeProjection):
         for group in self._groups:
             residual = self._residual(group)
             for place, output in enumerate(group.outputs):
-                yield [output], residual[:, place], -self._slopes(group, output), -group.columns
+                yield [output], residual[:, place], -self._pole_slopes(group, output), -group.columns
 
-    def _residual(self, group: _Together) -> Array:
+    def _residual(self, group: _OutputGroup) -> Array:
         return np.asarray(group.targets - group.columns @ self.shared[:, group.outputs])
 
 
-def places_of(rows: FreeRows, n: int) -> Indices:
+def input_places(rows: FreeRows, n: int) -> Indices:
     """Places of the unknowns of the inputs of an experiment among those of all inputs."""
     width = 2 * n + rows.through
     return np.asarray((width * rows.acting[:, None] + np.arange(width)).ravel())
 
 
-def by_poles(derivatives: Array, rows: FreeRows, own: Array, residues: ComplexArray) -> Array:
+def pole_derivatives(derivatives: Array, rows: FreeRows, own: Array, residues: ComplexArray) -> Array:
     """Derivatives of an output by imaginary and real parts of the poles, from those of its columns.
 
     `own` unknowns are those of the output, as are its `residues` (n, inputs).
@@ -611,7 +611,7 @@ def by_poles(derivatives: Array, rows: FreeRows, own: Array, residues: ComplexAr
     return np.concatenate([slopes.imag, slopes.real], axis=1)
 
 
-def by_delay(
+def delay_derivative(
     columns: _ExperimentColumns, rows: FreeRows, p: ComplexArray, own: Array, residues: ComplexArray, through: Array
 ) -> Array:
     """Derivative of an output by its delay: what it changes by per unit time, with the other sign.
@@ -621,21 +621,21 @@ def by_delay(
     """
     n = len(p)
     residues, through = residues[:, rows.acting], through[rows.acting]
-    turned, direct = -p[:, None] * residues, -2.0 * residues.real.sum(axis=0)[None]
-    weights = np.concatenate([turned.real, turned.imag, *[direct] * rows.through]).T.ravel()
-    slope = columns.shared[:, places_of(rows, n)] @ weights
-    rest = columns.derivatives[:, 2 * n * (rows.moving + rows.inputs) :]
+    rotated, direct = -p[:, None] * residues, -2.0 * residues.real.sum(axis=0)[None]
+    weights = np.concatenate([rotated.real, rotated.imag, *[direct] * rows.through]).T.ravel()
+    slope = columns.shared[:, input_places(rows, n)] @ weights
+    derivatives = columns.derivatives[:, 2 * n * (rows.moving + rows.inputs) :]
     if isinstance(rows, FreeResponse):
         first = -through if rows.through else direct[0]
-        return np.asarray(slope + rest @ np.concatenate([first, -own]))
-    if isinstance(rows, FreeRecord) and rest.shape[1]:
-        slope = slope - rest @ through / rows.hold.h
+        return np.asarray(slope + derivatives @ np.concatenate([first, -own]))
+    if isinstance(rows, FreeRecord) and derivatives.shape[1]:
+        slope = slope - derivatives @ through / rows.hold.h
     return np.asarray(slope)
 
 
 # --- the non-linear one ----------------------------------------------------------------------------------------------
 
-Make = Callable[[ComplexArray], Sequence[FreeRows]]  # rows for modes about which they reach
+RowMaker = Callable[[ComplexArray], Sequence[FreeRows]]  # rows for modes about which they reach
 
 
 @dataclass(frozen=True)
@@ -671,8 +671,8 @@ class FreeProblem:
 
 
 def refine_free(
-    make: Make, p: ComplexArray, region: PoleRegion, rtol: float = 1e-8, fed: Mask | None = None, last: bool = True,
-    steps: int = _STEPS, progress: Progress | None = None, known: FreeProjection | None = None,
+    make_rows: RowMaker, p: ComplexArray, region: PoleRegion, rtol: float = 1e-8, fed: Mask | None = None,
+    last: bool = True, steps: int = _STEPS, progress: Progress | None = None, known: FreeProjection | None = None,
 ) -> FreeProjection:  # fmt: skip
     """Poles refined from a start; of those without a decay rate (NaN) it is looked for first.
 
@@ -681,12 +681,12 @@ def refine_free(
     """
     p = p.copy()
     for k in np.flatnonzero(np.isnan(p.real)):
-        p[k] = _first_decay(make, p, int(k), region)
+        p[k] = _first_decay(make_rows, p, int(k), region)
     for _ in range(3):  # peaks turn out wider than their window
         sections = Sections.of(p)
-        problem = FreeProblem(make(p), region.about(sections), fed, known)
+        problem = FreeProblem(make_rows(p), region.about(sections), fed, known)
         start = problem.inside(sections.x)
-        report = progress and _averaged(progress, problem.samples)
+        report = progress and _mean_progress(progress, problem.samples)
         end = refine(problem, start, rtol=rtol, max_iterations=steps, last=last, progress=report)
         before, p = p, end.projection.p
         if len(p) == len(before) and np.all(np.abs(p.real) <= 2 * np.abs(before.real) + region.bin):
@@ -694,18 +694,18 @@ def refine_free(
     return end.projection
 
 
-def _averaged(progress: Progress, samples: int) -> Progress:
+def _mean_progress(progress: Progress, samples: int) -> Progress:
     return lambda iteration, loss: progress(iteration, loss / samples)
 
 
-def _first_decay(make: Make, p: ComplexArray, k: int, region: PoleRegion) -> complex:
+def _first_decay(make_rows: RowMaker, p: ComplexArray, k: int, region: PoleRegion) -> complex:
     """Pole k with the one of some decay rates that gives the smallest loss beside the other poles."""
-    known = np.where(np.isnan(p.real), -region.bin, p.real) + 1j * p.imag
+    start = np.where(np.isnan(p.real), -region.bin, p.real) + 1j * p.imag
     widest = 0.3 * max(p[k].imag, 4 * region.bin)
     rates = [width * region.bin for width in TUNING.decay_rates if width * region.bin <= widest]
 
-    def decaying(rate: float) -> ComplexArray:
-        return np.where(np.arange(len(p)) == k, -rate + 1j * p.imag, known)
+    def with_decay_rate(rate: float) -> ComplexArray:
+        return np.where(np.arange(len(p)) == k, -rate + 1j * p.imag, start)
 
-    rows = make(decaying(max(rates)))
-    return complex(-min(rates, key=lambda rate: FreeProjection(rows, decaying(rate)).loss), p[k].imag)
+    rows = make_rows(with_decay_rate(max(rates)))
+    return complex(-min(rates, key=lambda rate: FreeProjection(rows, with_decay_rate(rate)).loss), p[k].imag)

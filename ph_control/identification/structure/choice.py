@@ -98,7 +98,7 @@ class Choice:
         if request.function is not None:
             return self.tests[0].p >= LEVEL
         projection = self.free.projection
-        unknowns = len(projection.x) + int(projection.shown.sum()) - projection.deficiency
+        unknowns = len(projection.x) + int(projection.excited_unknowns.sum()) - projection.deficiency
         return likelihood_test(projection, self.fit, max(0, unknowns - self.fit.parameters)).p >= LEVEL
 
 
@@ -272,7 +272,7 @@ def _delayed(free: FreeFit, best: Choice, hypothesis: str, request: Request, set
         delays.rows(free.measured.experiments), projection.p, projection.fed  # type: ignore[type-var]
     )  # fmt: skip
     now = replace(
-        free, projection=projection, measured=measured, unknowns=projection.unknowns, delay=delays.each,
+        free, projection=projection, measured=measured, unknowns=projection.unknowns, delay=delays.by_output,
         delay_gain=gain, held_otherwise=None, delay_open=True, findings=best.free.findings,
     )  # fmt: skip
     return replace(late, free=now)

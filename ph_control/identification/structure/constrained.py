@@ -106,7 +106,7 @@ class Tangent:
 
     def __init__(self, projection: FreeProjection) -> None:
         self._poles, self._shared, self._parts = projection.pole_parts, projection.shared, list[Sensitivity]()
-        for outputs, residual, by_poles, by_shared in projection.given(
+        for outputs, residual, by_poles, by_shared in projection.with_unknowns(
             projection.p, projection.shared, projection.sections
         ).sensitivities():
             R = reduced(np.asfortranarray(np.column_stack([by_poles, by_shared, residual])))
@@ -157,7 +157,7 @@ class ConstrainedProjection(LinearProjection):
         if problem.tangent is not None:
             self.data = problem.tangent.evaluated(self.p, shared)
         else:
-            self.data = start.given(self.p, shared, self.sections, experiments)
+            self.data = start.with_unknowns(self.p, shared, self.sections, experiments)
 
     @property
     def loss(self) -> float:
@@ -225,7 +225,7 @@ class ConstrainedProjection(LinearProjection):
         assert isinstance(self.data, GivenResidues)
         jacobians, poles = {}, self._pole_derivatives
         for place, rows in enumerate(self.data.experiments):
-            by_poles, by_shared = self.data.in_rows(place)
+            by_poles, by_shared = self.data.row_jacobians(place)
             J = by_poles @ poles + by_shared @ self.derivatives(int(rows.outputs[0]))
             jacobians[place] = np.where(np.diag(self.gram) > 0, J, 0.0)
         return shared_score_covariance(self.data.experiments, jacobians)
@@ -436,7 +436,7 @@ def _with_best_sizes(projection: FreeProjection, coordinates: ShapeCoordinates, 
     modes = [np.where(np.arange(len(residues)) == l, 1.0, 0.0)[:, None, None] * residues for l in range(len(residues))]
     each = [layout.joined(mode, 0 * through, projection.has_feedthrough) for mode in modes]
     rest = layout.joined(0 * residues, through, projection.has_feedthrough)
-    for outputs, target, _, by_shared in projection.given(sections.p, rest, sections).sensitivities():
+    for outputs, target, _, by_shared in projection.with_unknowns(sections.p, rest, sections).sensitivities():
         rows.append(np.stack([-by_shared @ mode[:, outputs].T.ravel() for mode in each], axis=1))
         targets.append(target)
     sizes = nnls(np.concatenate(rows), np.concatenate(targets))[0]
@@ -487,7 +487,7 @@ def nearest_passive_fit(
 
 def coordinates_of(projection: FreeProjection, layout: ChannelLayout, hypothesis: str) -> StructureCoordinates:
     """Coordinates of the models of a hypothesis, for what the data show."""
-    n, shown, sections = len(projection.p), projection.shown, projection.sections
+    n, shown, sections = len(projection.p), projection.excited_unknowns, projection.sections
     residues, through = layout.split(shown.astype(float), n)
     entries, fed = np.any(residues, axis=0, keepdims=True)[0], through != 0
     if hypothesis == "lossless":

@@ -59,7 +59,7 @@ def cost_of(fit: StructuredFit, scales: Array) -> float:
         counts[rows.outputs] += rows.samples
     least = np.maximum(projection.rounding, np.finfo(float).tiny)
     losses = scales**2 * np.maximum(projection.losses, least) / np.maximum(counts, 1)
-    own = projection.unknowns - len(projection.x) - int(projection.shown.sum())
+    own = projection.unknowns - len(projection.x) - int(projection.excited_unknowns.sum())
     return float(np.sum(counts * np.log(losses)) + (fit.parameters + own) * np.log(projection.rows)) / projection.rows
 
 

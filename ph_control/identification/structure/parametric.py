@@ -201,7 +201,7 @@ class _ParametricProblem:
         """Numbers of the free model that belong to one experiment each."""
         projection = self.free.projection
         noise = 0 if self.free.beside is None else int(self.free.beside.unknowns)
-        return projection.unknowns - len(projection.x) - int(projection.shown.sum()) - noise
+        return projection.unknowns - len(projection.x) - int(projection.excited_unknowns.sum()) - noise
 
     def residual(self, model: PhysicalModes) -> Array:
         """Rows of all experiments without the model, one after the other."""
@@ -603,7 +603,7 @@ def _tested(problem: _ParametricProblem, point: _ParameterPoint, fit: Structured
     own = sum(part.unknowns for part in problem.remainder(point.model))
     shown = fit.parameters - own + problem.own_of_free  # numbers of the parameters
     wide, held = _freed(problem, point)
-    of_free = problem.own_of_free + len(free.projection.x) + int(free.projection.shown.sum())
+    of_free = problem.own_of_free + len(free.projection.x) + int(free.projection.excited_unknowns.sum())
     candidates = [(free.projection, of_free - free.projection.deficiency - shown - own)]
     if problem.noise is not None:
         return likelihood_test(free.projection, fit, max(0, candidates[0][1] + held))

@@ -18,7 +18,7 @@ from ..._types import Array
 from ..innovations.forces import FittedNoise
 from ..parameters.physical_modes import PhysicalModes
 from ..parameters.rows import RowsRemainder, shared_unknowns
-from ..regression.free import FreeProjection, places_of
+from ..regression.free import FreeProjection, input_places
 from ..regression.time_rows import FreeRecord
 from ..uncertainty.kalman import KalmanFilter
 
@@ -101,7 +101,7 @@ class SharedNoise:
         for parts in of_records(records, len(scales)):
             data = np.zeros((len(scales), parts[0].length))
             for rows in parts:
-                shared = free.shared[np.ix_(places_of(rows, len(free.p)), rows.outputs)]
+                shared = free.shared[np.ix_(input_places(rows, len(free.p)), rows.outputs)]
                 predicted = rows.evaluated(free.p).predict(shared, free.own[places[id(rows)]])
                 data[rows.outputs] = (scales[rows.outputs] * rows.unit)[:, None] * rows.residuals(predicted)
             total += float(np.sum(self.whitened(data[None]) ** 2))

@@ -105,13 +105,13 @@ class _Ports:
         """The data at a model."""
         n = self.n
         shared = theta[2 * n :].reshape(self.projection.shared.shape[::-1]).T
-        return self.projection.given(theta[n : 2 * n] + 1j * theta[:n], shared)
+        return self.projection.with_unknowns(theta[n : 2 * n] + 1j * theta[:n], shared)
 
     @cached_property
     def _has_velocity_feedthrough(self) -> bool:
         """Whether a velocity may be fed through."""
-        through = self.layout.split(self.projection.shown.astype(float), self.n)[1][np.ix_(self._outputs, self._inputs)]
-        return bool(np.any(through[self._integrations == 0] != 0))
+        _, through = self.layout.split(self.projection.excited_unknowns.astype(float), self.n)
+        return bool(np.any(through[np.ix_(self._outputs, self._inputs)][self._integrations == 0] != 0))
 
     @property
     def is_strictly_proper(self) -> bool:

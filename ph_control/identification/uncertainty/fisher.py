@@ -22,7 +22,7 @@ from ..._units import DERIVATIVES
 from ...modal.discretization import Hold
 from ...modal.modal_form import imaginary
 from ..regression.elimination import eliminate, reduced
-from ..regression.free import by_poles
+from ..regression.free import pole_derivatives
 from ..regression.modal_regressors import SHORT, Kernel, SampledModes, output_weight
 from ..regression.time_rows import FreeRecord
 
@@ -273,7 +273,7 @@ class PortRecord:
         by_kappa = weight.real * forced[:, :n] + weight.imag * forced[:, n:]
         power = DERIVATIVES[self.quantity] - 1.0
         own = 0.5 * np.concatenate([amplitudes.real, -amplitudes.imag])
-        by_d = by_poles(slopes, rows, own, (kappa * weight)[:, None])[:, :n] + kappa * power / d * by_kappa
+        by_d = pole_derivatives(slopes, rows, own, (kappa * weight)[:, None])[:, :n] + kappa * power / d * by_kappa
         if self.quantity == "acceleration":
             by_kappa = by_kappa + self.u[:, None]
         return np.concatenate([by_d, by_kappa, 0.5 * motion[:, :n], -0.5 * motion[:, n:]], axis=1)
