@@ -184,7 +184,7 @@ def test_the_problem_made_again_has_its_minimum_at_the_result(kind, fitted):
     size = np.abs(result.residues).max(initial=0.0)
     assert np.allclose(residues, result.residues, rtol=0, atol=1e-3 * size)
     assert np.allclose(through, result.feedthrough, rtol=0, atol=1e-3 * size)
-    again = module._drawn(result, poles, residues, through, motions, offsets)
+    again = module._with_estimate(result, poles, residues, through, motions, offsets)
     for one, data in zip(again.experiments, result.experiments, strict=True):
         assert np.allclose(one.free_amplitudes, data.free_amplitudes, rtol=1e-3, atol=1e-3)
     assert np.allclose(again.offsets, result.offsets, rtol=1e-3, atol=1e-4)

@@ -88,22 +88,22 @@ class Bootstrap(Frozen):
         return len(self.poles) - self.failed
 
     def __repr__(self) -> str:
-        held = ", ".join(f"{100 * share:.0f}" for share in self.active_share)
-        weights = f"; weights held at 0 in {held} %" * bool(held)
+        shares = ", ".join(f"{100 * share:.0f}" for share in self.active_share)
+        weights = f"; weights held at 0 in {shares} %" * bool(shares)
         return f"Bootstrap({len(self.poles)} resamples of {self.poles.shape[1]} poles, {self.failed} failed{weights})"
 
     @property
-    def _kept(self) -> Mask:
+    def _converged(self) -> Mask:
         return np.asarray(~np.isnan(self.poles).any(axis=1))
 
     @property
-    def _modes(self) -> int:
-        return int(np.sum(self.poles[self._kept][:1].imag != 0))
+    def _mode_count(self) -> int:
+        return int(np.sum(self.poles[self._converged][:1].imag != 0))
 
     @property
     def natural_frequencies(self) -> Array:
         """Natural frequencies of the modes, shape (k, n), rad per unit time."""
-        return np.abs(self.poles[:, : self._modes])
+        return np.abs(self.poles[:, : self._mode_count])
 
     @property
     def d(self) -> Array:
@@ -113,25 +113,26 @@ class Bootstrap(Frozen):
     @property
     def active_share(self) -> Array:
         """Share of the resamples in which each weight was held at 0 by the constraint `r >= 0`, shape of `r`'s rows."""
-        return np.asarray((self.r[self._kept] == 0).mean(axis=0)) if len(self) else np.full(self.r.shape[1], np.nan)
+        r = self.r[self._converged]
+        return np.asarray((r == 0).mean(axis=0)) if len(self) else np.full(r.shape[1], np.nan)
 
     @property
     def damping_ratios(self) -> Array:
         """Damping ratios of the modes, shape (k, n)."""
-        return -self.poles[:, : self._modes].real / self.natural_frequencies
+        return -self.poles[:, : self._mode_count].real / self.natural_frequencies
 
     @property
     def real_poles(self) -> Array:
         """Real poles, shape (k, r)."""
-        return np.asarray(self.poles[:, self._modes :].real)
+        return np.asarray(self.poles[:, self._mode_count :].real)
 
-    def _statistic(self, of: Callable[[Array], Array]) -> Mapping[str, NDArray[Any]]:
+    def _statistic(self, reduce: Callable[[Array], Array]) -> Mapping[str, NDArray[Any]]:
         """Statistic of each parameter by its name, along the resamples; of complex ones of both parts."""
         statistics = {}
-        more = [name for name in ("r", "initial_state") if getattr(self, name).size]
-        for name in (*_KEYS, "offset", *more):
-            draws = getattr(self, name)[self._kept]
-            statistics[name] = of(draws.real) + 1j * of(draws.imag) if np.iscomplexobj(draws) else of(draws)
+        optional = [name for name in ("r", "initial_state") if getattr(self, name).size]
+        for name in (*_KEYS, "offset", *optional):
+            draws = getattr(self, name)[self._converged]
+            statistics[name] = reduce(draws.real) + 1j * reduce(draws.imag) if np.iscomplexobj(draws) else reduce(draws)
         return ReadOnlyMapping(statistics)
 
     @cached_property
@@ -183,9 +184,9 @@ class Bootstrap(Frozen):
     @property
     def samples(self) -> ModalSamples:
         """The models that were refitted, with the bands of their responses; shapes are those of their residues."""
-        kept, n = self._kept, self._modes
-        shapes = self.residues[kept][:, :n, :, 0] if self.residues.shape[3] else np.zeros((len(self), n, 0), complex)
-        estimates = self.poles[kept], self.residues[kept], self.feedthrough[kept]
+        used, n = self._converged, self._mode_count
+        shapes = self.residues[used][:, :n, :, 0] if self.residues.shape[3] else np.zeros((len(self), n, 0), complex)
+        estimates = self.poles[used], self.residues[used], self.feedthrough[used]
         return ModalSamples(*estimates, shapes, self.background, self.delay, self.input_delay)
 
 
@@ -261,15 +262,15 @@ class Resampled:
         refit = _Refit.of(self)
         seeds = np.random.SeedSequence(int(random.integers(2**63))).spawn(count)
         estimates = list(mapped(refit, seeds, workers, tuple))
-        nothing = [np.full(np.shape(part), np.nan, np.asarray(part).dtype) for part in _parts(self)]
-        each = [_parts(_drawn(self, *estimate)) if estimate else nothing for estimate in estimates]
-        poles, residues, through, r, states, offsets = (np.stack(parts) for parts in zip(*each, strict=True))
+        missing = [np.full(np.shape(part), np.nan, np.asarray(part).dtype) for part in _arrays_of(self)]
+        resamples = [_arrays_of(_with_estimate(self, *estimate)) if estimate else missing for estimate in estimates]
+        poles, residues, through, r, states, offsets = (np.stack(parts) for parts in zip(*resamples, strict=True))
         failed = sum(not estimate for estimate in estimates)
-        late = self.delay, self.input_delay
-        return Bootstrap(poles, residues, through, r, states, offsets, failed, self.background, *late)
+        delays = self.delay, self.input_delay
+        return Bootstrap(poles, residues, through, r, states, offsets, failed, self.background, *delays)
 
 
-def _parts(result: PEMResult) -> tuple[NDArray[Any], ...]:
+def _arrays_of(result: PEMResult) -> tuple[NDArray[Any], ...]:
     """What a bootstrap has of each estimate."""
     r = result.r if result._has_weights else np.zeros(0)
     states = result.initial_states if result._moves_as_state else (np.zeros(0),)
@@ -277,7 +278,7 @@ def _parts(result: PEMResult) -> tuple[NDArray[Any], ...]:
     return result.poles, result.residues, result.feedthrough, r, state, result.offsets
 
 
-def _drawn(
+def _with_estimate(
     result: PEMResult, poles: ComplexArray, residues: ComplexArray, through: Array, motions: list[ComplexArray],
     offsets: list[Array],
 ) -> PEMResult:  # fmt: skip
@@ -309,7 +310,7 @@ class _Refit:
     predictions: list[NDArray[Any]]
     noise: list[NDArray[Any]]
     places: list[int]  # of the experiments among those of the result
-    count: int  # of these
+    experiment_count: int
 
     @classmethod
     def of(cls, result: PEMResult) -> _Refit:
@@ -317,19 +318,21 @@ class _Refit:
         channels: Any = as_channels([experiment.record for experiment in result.experiments])
         if isinstance(channels[0], Recording):
             scales = [experiment.noise_scale for experiment in result.experiments]
-            quiet = Tones.of(result.findings, channels).taken_from(channels)
+            without_tones = Tones.of(result.findings, channels).taken_from(channels)
             levels = levels_of(result.findings, channels)
-            each = zip(quiet, scales, levels, strict=True)
-            channels = [channel.adjusted(scale, level=level) for channel, scale, level in each]
+            adjustments = zip(without_tones, scales, levels, strict=True)
+            channels = [channel.adjusted(scale, level=level) for channel, scale, level in adjustments]
         terms = int(np.isfinite(result.stderr["offset"]).any())
         terms += any(
             np.any(getattr(experiment, "drifts", getattr(experiment, "drift", 0.0)))
             for experiment in result.experiments
         )
-        form = RowOptions(result.quantities, result.intersample, terms, result._moving, result.method, result._lateness)
-        path = FreePath.of(channels, form)
+        options = RowOptions(
+            result.quantities, result.intersample, terms, result._moving, result.method, result._lateness
+        )
+        path = FreePath.of(channels, options)
         if isinstance(path.search, Responses):
-            path.search = replace(path.search, data=_on_background(path.search.data, result))
+            path.search = replace(path.search, data=_with_background(path.search.data, result))
         path.weigh(path.counts * np.ravel(result.noise_variance))
         rows, per_entry = list(path.scaled.data), not isinstance(path.scaled.data[0], FreeRecord)
         p, m = result.feedthrough.shape
@@ -337,16 +340,16 @@ class _Refit:
         fed = path.felt | (result.feedthrough.reshape(path.felt.shape) != 0) if m else path.felt
         projection = FreeProjection(rows, result.poles, fed)
         halves = halved(result.poles, result.residues)
-        given = GivenResidues(
+        fixed = GivenResidues(
             projection,
             layout.joined(halves, result.feedthrough, projection.has_feedthrough) if m else projection.shared,
         )
         # residuals are smaller than the noise by the parameters that were fitted to it
         variance = np.exp(np.mean(np.log(np.maximum(result.noise_variance, np.finfo(float).tiny))))
         factor = np.sqrt(variance / max(result.loss, np.finfo(float).tiny))
-        predictions, noise = given.predictions(), []
+        predictions, noise = fixed.predictions(), []
         for record, predicted in zip(rows, predictions, strict=True):
-            residuals = _in_rows(record, (_target(record) - predicted)[:, record.observed])
+            residuals = _scaled_residuals(record, (_measured_outputs(record) - predicted)[:, record.observed])
             noise.append(factor * (residuals - residuals.mean(axis=1, keepdims=True)))
         places = experiments_of(rows, channels).tolist()
         return cls(
@@ -360,7 +363,7 @@ class _Refit:
         for record, predicted, noise in zip(self.rows, self.predictions, self.noise, strict=True):
             output = np.where(record.observed, predicted, 0.0)
             drawn = np.stack([random.choice(values, len(values)) for values in noise])
-            output[:, record.observed] += _out_of_rows(record, drawn)
+            output[:, record.observed] += _unscaled_residuals(record, drawn)
             rows.append(
                 replace(record, y=output, scale=None)
                 if isinstance(record, FreeRecord)
@@ -381,14 +384,14 @@ class _Refit:
         if not fit.converged or not np.array_equal(poles.imag == 0, self.poles.imag == 0):
             return ()
         residues = fit.residues[rank] * np.where(poles.imag == 0, 2.0, 1.0)[:, None, None]
-        motions, offsets = self._of_experiments(fit, rank)
+        motions, offsets = self._motions_and_offsets(fit, rank)
         return poles, residues, fit.feedthrough, motions, offsets
 
-    def _of_experiments(self, fit: StructuredFit, rank: Indices) -> tuple[list[ComplexArray], list[Array]]:
+    def _motions_and_offsets(self, fit: StructuredFit, rank: Indices) -> tuple[list[ComplexArray], list[Array]]:
         """Free motions (N, outputs) and constants of each experiment."""
         projection, count = fit.projection, len(self.layout.scales)
-        motions = [np.zeros((len(rank), count), complex) for _ in range(self.count)]
-        offsets = [np.zeros(count) for _ in range(self.count)]
+        motions = [np.zeros((len(rank), count), complex) for _ in range(self.experiment_count)]
+        offsets = [np.zeros(count) for _ in range(self.experiment_count)]
         for record, own, place in zip(projection.experiments, projection.own, self.places, strict=True):
             if isinstance(record, FreeRecord):
                 scale = self.layout.scales[record.outputs] * record.unit
@@ -398,7 +401,7 @@ class _Refit:
         return motions, offsets
 
 
-def _on_background(rows: Sequence[FreeResponse], result: PEMResult) -> list[FreeResponse]:
+def _with_background(rows: Sequence[FreeResponse], result: PEMResult) -> list[FreeResponse]:
     """Responses on the background of a result."""
     parts = [
         experiment.background.coefficients.reshape(5, -1) for experiment in result.experiments if experiment.background
@@ -413,19 +416,19 @@ def _on_background(rows: Sequence[FreeResponse], result: PEMResult) -> list[Free
     return responses
 
 
-def _target(rows: Any) -> NDArray[Any]:
+def _measured_outputs(rows: Any) -> NDArray[Any]:
     """Outputs (q, T) in the scale of the rows."""
     return np.asarray(rows.measured if isinstance(rows, FreeRecord) else rows.response)
 
 
-def _out_of_rows(rows: Any, drawn: NDArray[Any]) -> NDArray[Any]:
+def _unscaled_residuals(rows: Any, drawn: NDArray[Any]) -> NDArray[Any]:
     """Residuals as large as they are in the rows."""
     if isinstance(rows, FreeRecord):
         return drawn if rows.level is None else drawn * rows.level[rows.observed]
     return np.asarray(rows.out_of_rows(drawn))
 
 
-def _in_rows(rows: Any, residuals: NDArray[Any]) -> NDArray[Any]:
+def _scaled_residuals(rows: Any, residuals: NDArray[Any]) -> NDArray[Any]:
     """Residuals made alike, of all observed values."""
     if isinstance(rows, FreeRecord):
         return residuals if rows.level is None else residuals / rows.level[rows.observed]

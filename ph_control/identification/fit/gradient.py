@@ -230,25 +230,25 @@ def gradient_descent(
     rate, steps = float(learning_rate), _checks.whole_number("epochs", epochs, 1, _MOST)
     record = as_record(data, dt)
     n = _order(record, _checks.whole_number("order", order, 1))
-    after = None if validation is None else as_record(validation, record.dt)
-    if after is not None and not after.observed.any():
+    validation_record = None if validation is None else as_record(validation, record.dt)
+    if validation_record is not None and not validation_record.observed.any():
         raise StructureError("the validation record has no outputs to compare the model with; pass (u, y) with outputs")
-    problem = EulerProblem.of(record, after, n, parameters == "natural")
-    start = _random_start(problem, rng) if initial_guess is None else _given_start(problem, initial_guess)
+    problem = EulerProblem.of(record, validation_record, n, parameters == "natural")
+    start = _random_start(problem, rng) if initial_guess is None else _checked_start(problem, initial_guess)
     best, losses, validations = _descend(problem, start, rate, steps, optimizer == "adam")
     best_epoch = int(np.argmin(losses))
     d, r, s0 = problem.split(best.theta)
-    rank = np.arange(n) if problem.natural else np.argsort(d, kind="stable")
-    d, r = d[rank], r[rank]
+    ascending = np.arange(n) if problem.natural else np.argsort(d, kind="stable")
+    d, r = d[ascending], r[ascending]
     v = best.theta[n : 3 * n].copy() if problem.natural else np.append(np.sqrt(r), np.zeros(n))
     # 2 over the largest eigenvalue of `2/T J J^T`
     size = float(np.linalg.norm(best.jacobian, 2)) if np.isfinite(best.jacobian).all() else np.inf
-    stable = int(problem.learned.sum()) / size**2 if size else np.inf
+    stable_rate = int(problem.training.sum()) / size**2 if size else np.inf
     return GradientResult(
         parameters=parameters, d=d, v=v, r=r, initial_state=s0.copy(), loss_history=losses,
-        validation_history=None if after is None else validations, best_epoch=best_epoch,
-        diverged=len(losses) <= steps, stable_rate=stable, record=record,
-        message=_message(problem, losses, best_epoch, steps, stable if optimizer == "plain" else None, d, r),
+        validation_history=None if validation_record is None else validations, best_epoch=best_epoch,
+        diverged=len(losses) <= steps, stable_rate=stable_rate, record=record,
+        message=_message(problem, losses, best_epoch, steps, stable_rate if optimizer == "plain" else None, d, r),
     )  # fmt: skip
 
 
@@ -257,7 +257,7 @@ def gradient_descent(
 
 def _descend(problem: EulerProblem, theta: Array, rate: float, epochs: int, adam: bool) -> tuple[Point, Array, Array]:
     """Best point, and the losses on both records, of so many steps, or of those until the loss is not finite."""
-    steps = _AdamSteps(len(theta)) if adam else None
+    adam_steps = _AdamSteps(len(theta)) if adam else None
     losses: list[float] = []
     validations: list[float] = []
     best: Point | None = None
@@ -271,7 +271,7 @@ def _descend(problem: EulerProblem, theta: Array, rate: float, epochs: int, adam
             validations.append(point.validation)
             if best is None or point.loss < best.loss:
                 best = point
-            step = steps.along(point.gradient) if steps else point.gradient
+            step = adam_steps.step(point.gradient) if adam_steps else point.gradient
             theta = problem.projected(theta - rate * step)
     if best is None:
         raise StructureError(
@@ -286,7 +286,7 @@ class _AdamSteps:
     def __init__(self, size: int) -> None:
         self.mean, self.square, self.count = np.zeros(size), np.zeros(size), 0
 
-    def along(self, gradient: Array) -> Array:
+    def step(self, gradient: Array) -> Array:
         """Step for a rate of 1."""
         self.count += 1
         self.mean += (1 - _MOMENTUM) * (gradient - self.mean)
@@ -296,25 +296,27 @@ class _AdamSteps:
 
 
 def _message(
-    problem: EulerProblem, losses: Array, best_epoch: int, epochs: int, stable: float | None, d: Array, r: Array
+    problem: EulerProblem, losses: Array, best_epoch: int, epochs: int, stable_rate: float | None, d: Array, r: Array
 ) -> str:
-    best, power = losses[best_epoch], float(np.var(problem.y[problem.learned])) or 1.0
-    parts = [
+    best, power = losses[best_epoch], float(np.var(problem.y[problem.training])) or 1.0
+    sentences = [
         f"{len(losses) - 1} steps of {epochs}: mean squared error {losses[0]:.3g} at the start, {best:.3g} at best "
         f"({float(f'{100 * best / power:.2g}'):g} % of the variance of the output)."
     ]
-    kept = f"The parameters after step {best_epoch} are kept"
+    choice = f"The parameters after step {best_epoch} are kept"
     if len(losses) <= epochs:
-        parts.append(f"The descent diverged: after step {len(losses)} the loss left the range of doubles. {kept}.")
+        sentences.append(
+            f"The descent diverged: after step {len(losses)} the loss left the range of doubles. {choice}."
+        )
     elif best_epoch < epochs:
-        parts.append(f"{kept}; the loss was {losses[-1]:.3g} at the end.")
-    if stable is not None:
-        parts.append(f"Near the parameters kept plain steps are stable for learning rates below {stable:.2g}.")
-    for name, held in (("d at its lower bound", d <= problem.slowest), ("r at 0", r == 0)):
-        if held.any():
-            listed = ", ".join(str(l + 1) for l in np.flatnonzero(held))
-            parts.append(f"Mode{'s' * int(held.sum() > 1)} {listed} ended with {name}.")
-    return " ".join(parts)
+        sentences.append(f"{choice}; the loss was {losses[-1]:.3g} at the end.")
+    if stable_rate is not None:
+        sentences.append(f"Near the parameters kept plain steps are stable for learning rates below {stable_rate:.2g}.")
+    for name, at_bound in (("d at its lower bound", d <= problem.slowest), ("r at 0", r == 0)):
+        if at_bound.any():
+            modes = ", ".join(str(l + 1) for l in np.flatnonzero(at_bound))
+            sentences.append(f"Mode{'s' * int(at_bound.sum() > 1)} {modes} ended with {name}.")
+    return " ".join(sentences)
 
 
 # --- where to start, and what is allowed -----------------------------------------------------------------------------
@@ -337,7 +339,7 @@ def _random_start(problem: EulerProblem, rng: RandomSource) -> Array:
     return np.concatenate([d, v if problem.natural else weights_of(v), motion])
 
 
-def _given_start(problem: EulerProblem, guess: Any) -> Array:
+def _checked_start(problem: EulerProblem, guess: Any) -> Array:
     """Checked parameters from `(d, v or r, s0)`."""
     name = "v" if problem.natural else "r"
     if isinstance(guess, str) or not hasattr(guess, "__len__") or len(guess) != 3:
@@ -374,7 +376,7 @@ def _order(record: Record, order: int) -> int:
 # --- the output by Euler's rule, and its derivatives by the parameters ------------------------------------------------
 
 
-def _resonate(d: float, h: float, x: Array) -> tuple[Array, Array]:
+def _resonator_response(d: float, h: float, x: Array) -> tuple[Array, Array]:
     """`1/(delta^2 + d^2) x` and `delta/(delta^2 + d^2) x` from rest: parts of `1/(delta + i d) x`."""
     w = lfilter([0.0, h], [1.0, complex(-1.0, h * d)], x)
     return w.imag / -d, w.real
@@ -386,14 +388,14 @@ def columns(d: Array, u: Array, h: float) -> tuple[Array, Array]:
     Free signal k is the output from `s(0) = e_k`: `delta^{k-1} / prod (delta^2 + d_l^2)` of an impulse.
     """
     n = len(d)
-    forced = np.array([_resonate(frequency, h, u)[1] for frequency in d])
+    forced = np.array([_resonator_response(frequency, h, u)[1] for frequency in d])
     impulse = np.zeros(len(u))
     impulse[0] = 1.0
     # one resonator after the other, the first before the step of delay that the others have
     w = lfilter([1.0], [1.0, complex(-1.0, h * d[0])], impulse)
     position, velocity = [w.imag / -d[0]], [w.real]
     for frequency in d[1:]:
-        for signals, signal in zip((position, velocity), _resonate(frequency, h, position[-1]), strict=True):
+        for signals, signal in zip((position, velocity), _resonator_response(frequency, h, position[-1]), strict=True):
             signals.append(signal)
     # delta^2 times the last position is the one before it less d^2 times itself, and so on
     links = np.diag(np.ones(n - 1), -1) - np.diag(d**2)
@@ -422,21 +424,24 @@ class EulerProblem:
 
     u: Array
     y: Array
-    learned: Mask
-    validated: Mask
+    training: Mask
+    validation: Mask
     samples: int
     h: float
     n: int
     natural: bool
 
     @classmethod
-    def of(cls, record: Record, after: Record | None, n: int, natural: bool) -> EulerProblem:
+    def of(cls, record: Record, validation_record: Record | None, n: int, natural: bool) -> EulerProblem:
         """Put the two records behind one another; missing outputs count in neither."""
         u, y = record.u, record.y
-        if after is not None:
-            u, y = np.append(u, after.u), np.append(y, after.y)
-        seen, early = ~np.isnan(y), np.arange(len(u)) < record.samples
-        return cls(u, np.where(seen, y, 0.0), seen & early, seen & ~early, record.samples, record.dt, n, natural)
+        if validation_record is not None:
+            u, y = np.append(u, validation_record.u), np.append(y, validation_record.y)
+        observed, training = ~np.isnan(y), np.arange(len(u)) < record.samples
+        return cls(
+            u, np.where(observed, y, 0.0), observed & training, observed & ~training, record.samples, record.dt, n,
+            natural,
+        )  # fmt: skip
 
     @property
     def slowest(self) -> float:
@@ -444,18 +449,18 @@ class EulerProblem:
         return _SLOWEST / (self.samples * self.h)
 
     @property
-    def sizes(self) -> tuple[int, int]:
+    def split_places(self) -> tuple[int, int]:
         """Where the second and third part of the parameters start."""
         return self.n, 3 * self.n if self.natural else 2 * self.n
 
     def split(self, theta: Array) -> tuple[Array, Array, Array]:
         """Frequencies, weights `r`, and initial state."""
-        d, p, s0 = np.split(theta, self.sizes)
+        d, p, s0 = np.split(theta, self.split_places)
         return d, weights_of(p) if self.natural else p, s0
 
     def projected(self, theta: Array) -> Array:
         """Nearest parameters of a port-Hamiltonian system."""
-        d, p, s0 = np.split(theta, self.sizes)
+        d, p, s0 = np.split(theta, self.split_places)
         return np.concatenate([np.maximum(d, self.slowest), p if self.natural else np.maximum(p, 0.0), s0])
 
     def evaluated(self, theta: Array) -> Point:
@@ -464,20 +469,21 @@ class EulerProblem:
         forced, free = columns(d, self.u, self.h)
         motion = s0 @ free
         error = (r * d) @ forced + motion - self.y
-        loss, validation = (_mean_square(error[part]) for part in (self.learned, self.validated))
-        early = slice(self.samples)
-        forced, free, motion = forced[:, early], free[:, early], motion[early]
+        loss, validation = (_mean_square(error[mask]) for mask in (self.training, self.validation))
+        record = slice(self.samples)
+        forced, free, motion = forced[:, record], free[:, record], motion[record]
         by_d = np.empty((self.n, self.samples))
         for l in range(self.n):
-            chained, _ = _resonate(d[l], self.h, r[l] * d[l] * forced[l] + motion)
-            by_d[l] = r[l] * forced[l] - 2 * d[l] * chained
+            second_response, _ = _resonator_response(d[l], self.h, r[l] * d[l] * forced[l] + motion)
+            by_d[l] = r[l] * forced[l] - 2 * d[l] * second_response
         by_p = d[:, None] * forced
         if self.natural:
             v = theta[self.n : 3 * self.n]
             by_p = 2 * v[:, None] * np.concatenate([by_p, by_p])
         jacobian = np.concatenate([by_d, by_p, free])
-        seen = self.learned[early]
-        return Point(theta, loss, validation, 2 * jacobian @ (error[early] * seen) / seen.sum(), jacobian * seen)
+        counted = self.training[record]
+        gradient = 2 * jacobian @ (error[record] * counted) / counted.sum()
+        return Point(theta, loss, validation, gradient, jacobian * counted)
 
 
 def weights_of(v: Array) -> Array:

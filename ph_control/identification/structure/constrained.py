@@ -105,22 +105,23 @@ class Tangent:
     """Linearised residuals of a free fit about its minimum: they cost no pass over the data."""
 
     def __init__(self, projection: FreeProjection) -> None:
-        self._poles, self._shared, self._parts = projection.pole_parts, projection.shared, list[Sensitivity]()
+        self._poles, self._shared, self._sensitivities = projection.pole_parts, projection.shared, list[Sensitivity]()
         for outputs, residual, by_poles, by_shared in projection.with_unknowns(
             projection.p, projection.shared, projection.sections
         ).sensitivities():
             R = reduced(np.asfortranarray(np.column_stack([by_poles, by_shared, residual])))
-            self._parts.append((outputs, R[:, -1], R[:, : 2 * len(projection.p)], R[:, 2 * len(projection.p) : -1]))
+            n = len(projection.p)
+            self._sensitivities.append((outputs, R[:, -1], R[:, : 2 * n], R[:, 2 * n : -1]))
 
     def evaluated(self, p: ComplexArray, shared: Array) -> TangentPoint:
         """The residuals at other poles and residues."""
-        moved = np.concatenate([p.imag, p.real]) - self._poles
+        pole_change = np.concatenate([p.imag, p.real]) - self._poles
         return TangentPoint([
             (
-                outputs, residual + by_poles @ moved + by_shared @ (shared - self._shared)[:, outputs].T.ravel(),
+                outputs, residual + by_poles @ pole_change + by_shared @ (shared - self._shared)[:, outputs].T.ravel(),
                 by_poles, by_shared,
             )
-            for outputs, residual, by_poles, by_shared in self._parts
+            for outputs, residual, by_poles, by_shared in self._sensitivities
         ])  # fmt: skip
 
 
@@ -165,22 +166,22 @@ class ConstrainedProjection(LinearProjection):
         return self.data.loss
 
     @cached_property
-    def _normal(self) -> tuple[Array, Array]:
+    def _normal_equations(self) -> tuple[Array, Array]:
         """Gram matrix of the Jacobian by the coordinates, and half the gradient."""
         size, poles = len(self.x), self._pole_derivatives
         gram, gradient = np.zeros((size, size)), np.zeros(size)
         for outputs, residual, by_poles, by_shared in self.data.sensitivities():
             slopes = np.concatenate([self.derivatives(output) for output in outputs])
             # each output depends on its own part of the shapes
-            near = np.flatnonzero(slopes.any(axis=0) | poles.any(axis=0))
-            J = by_poles @ poles[:, near] + by_shared @ slopes[:, near]
+            columns = np.flatnonzero(slopes.any(axis=0) | poles.any(axis=0))
+            J = by_poles @ poles[:, columns] + by_shared @ slopes[:, columns]
             if self.delays is not None and isinstance(self.data, GivenResidues):
-                near = np.append(near, size - self.delays.count + self.delays.groups[outputs[0]])
+                columns = np.append(columns, size - self.delays.count + self.delays.groups[outputs[0]])
                 J = np.column_stack([J, -self.data.delay_slopes(outputs[0])])
-            gram[np.ix_(near, near)] += J.T @ J
-            gradient[near] += J.T @ residual
-        held = np.append(~self._problem.free, np.zeros(size - len(self._model), bool))
-        gram[held] = gram[:, held] = gradient[held] = 0.0
+            gram[np.ix_(columns, columns)] += J.T @ J
+            gradient[columns] += J.T @ residual
+        fixed = np.append(~self._problem.free, np.zeros(size - len(self._model), bool))
+        gram[fixed] = gram[:, fixed] = gradient[fixed] = 0.0
         return gram, gradient
 
     def derivatives(self, output: int) -> Array:
@@ -190,34 +191,34 @@ class ConstrainedProjection(LinearProjection):
             coordinates.derivatives(self._model, output, self._problem.start.has_feedthrough)
             / coordinates.layout.scales[output]
         )
-        return self._beside_delays(slopes)
+        return self._padded_for_delays(slopes)
 
     @property
     def _pole_derivatives(self) -> Array:
-        return self._beside_delays(self._problem.coordinates.pole_derivatives(self._model))
+        return self._padded_for_delays(self._problem.coordinates.pole_derivatives(self._model))
 
-    def _beside_delays(self, slopes: Array) -> Array:
+    def _padded_for_delays(self, slopes: Array) -> Array:
         """Derivatives of what does not depend on delays, with zero columns for these."""
         return np.pad(slopes, ((0, 0), (0, len(self.x) - len(self._model))))
 
     @cached_property
     def gram(self) -> Array:
         """`J^T J` of the residuals by the coordinates."""
-        return self._normal[0]
+        return self._normal_equations[0]
 
     @cached_property
     def gradient(self) -> Array:
         """Half the gradient of the loss."""
-        return self._normal[1]
+        return self._normal_equations[1]
 
     def covariance(self, variance: float) -> Array:
         """Covariance of the model, in the coordinates of `FreeProjection.covariance`."""
-        kept, inner = self._inverse_gram
+        places, inverse = self._inverse_gram
         poles = self._pole_derivatives
-        J = np.concatenate([poles, *map(self.derivatives, range(self._problem.start.shared.shape[1]))])[:, kept]
+        J = np.concatenate([poles, *map(self.derivatives, range(self._problem.start.shared.shape[1]))])[:, places]
         if isinstance(self.data, GivenResidues) and have_shared_errors(self.data.experiments):
-            inner = inner + inner @ self.shared_score_covariance[np.ix_(kept, kept)] @ inner
-        return np.asarray(J @ (variance * inner) @ J.T)
+            inverse = inverse + inverse @ self.shared_score_covariance[np.ix_(places, places)] @ inverse
+        return np.asarray(J @ (variance * inverse) @ J.T)
 
     @cached_property
     def shared_score_covariance(self) -> Array:
@@ -235,38 +236,38 @@ class ConstrainedProjection(LinearProjection):
         """How many more squares than it has unknowns this model takes of errors that entries have in common."""
         if not (isinstance(self.data, GivenResidues) and have_shared_errors(self.data.experiments)):
             return 0.0
-        kept, inner = self._inverse_gram
-        return float(np.sum(inner * self.shared_score_covariance[np.ix_(kept, kept)]))
+        places, inverse = self._inverse_gram
+        return float(np.sum(inverse * self.shared_score_covariance[np.ix_(places, places)]))
 
     @cached_property
     def deficiency(self) -> int:
         """Number of combinations of residues and feedthrough that leave no trace, for given poles and delays."""
         linear = np.arange(len(self._problem.coordinates.pole_coordinates), len(self._model))
-        kept = linear[np.diag(self.gram)[linear] > 0]
-        lengths = np.sqrt(np.diag(self.gram)[kept])
-        seen = np.linalg.eigvalsh(self.gram[np.ix_(kept, kept)] / np.outer(lengths, lengths))
-        return int(np.sum(seen <= tolerance(self._problem.samples, len(kept)) * seen.max(initial=0.0)))
+        places = linear[np.diag(self.gram)[linear] > 0]
+        lengths = np.sqrt(np.diag(self.gram)[places])
+        eigenvalues = np.linalg.eigvalsh(self.gram[np.ix_(places, places)] / np.outer(lengths, lengths))
+        return int(np.sum(eigenvalues <= tolerance(self._problem.samples, len(places)) * eigenvalues.max(initial=0.0)))
 
     def delay_errors(self, variance: float) -> Array:
         """Standard errors of the delays."""
-        kept, inner = self._inverse_gram
+        places, inverse = self._inverse_gram
         errors = np.full(len(self.x), np.nan)
-        errors[kept] = np.sqrt(variance * np.diag(inner))
+        errors[places] = np.sqrt(variance * np.diag(inverse))
         return errors[len(self._model) :]
 
     @cached_property
     def _inverse_gram(self) -> tuple[Indices, Array]:
         """Coordinates that the data show, and the inverse of their Gram matrix."""
-        kept = np.flatnonzero(np.diag(self.gram))
-        gram = self.gram[np.ix_(kept, kept)]
-        if not len(kept):
-            return kept, gram
+        places = np.flatnonzero(np.diag(self.gram))
+        gram = self.gram[np.ix_(places, places)]
+        if not len(places):
+            return places, gram
         lengths = np.sqrt(np.diag(gram))
-        inner, failed = lapack.dpotri(lapack.dpotrf(gram / np.outer(lengths, lengths))[0])
-        inner = np.triu(inner) + np.triu(inner, 1).T
-        if failed or not np.abs(inner).max(initial=0.0) < _WELL_CONDITIONED:
-            inner = np.linalg.pinv(gram / np.outer(lengths, lengths), rcond=len(lengths) * EPS, hermitian=True)
-        return kept, inner / np.outer(lengths, lengths)
+        inverse, failed = lapack.dpotri(lapack.dpotrf(gram / np.outer(lengths, lengths))[0])
+        inverse = np.triu(inverse) + np.triu(inverse, 1).T
+        if failed or not np.abs(inverse).max(initial=0.0) < _WELL_CONDITIONED:
+            inverse = np.linalg.pinv(gram / np.outer(lengths, lengths), rcond=len(lengths) * EPS, hermitian=True)
+        return places, inverse / np.outer(lengths, lengths)
 
 
 @dataclass(frozen=True)
@@ -291,21 +292,21 @@ class ConstrainedProblem:
 
     def inside(self, x: Array) -> Array:
         """Poles brought to where they are allowed; next to a free fit no two of a section meet."""
-        coordinates, known = self.coordinates, self.coordinates.size
-        x, delays = x[:known], x[known:] if self.delays is None else self.delays.inside(x[known:])
-        inside = self.region.inside(coordinates.sections_at(x).x.copy())
+        coordinates, size = self.coordinates, self.coordinates.size
+        x, delays = x[:size], x[size:] if self.delays is None else self.delays.inside(x[size:])
+        bounded = self.region.inside(coordinates.sections_at(x).x.copy())
         if self.tangent is not None or not (coordinates.damped and coordinates.real):
             k = len(coordinates.sections.decay)
-            least = self.region.least(inside[:k])
-            square, sign = inside[k : 2 * k], np.where(coordinates.sections.square > 0, 1.0, -1.0)
+            least = self.region.least(bounded[:k])
+            square, sign = bounded[k : 2 * k], np.where(coordinates.sections.square > 0, 1.0, -1.0)
             sign = sign if coordinates.damped else np.ones(k)
-            inside[k : 2 * k] = sign * np.maximum(sign * square, least)
-        return np.concatenate([inside[coordinates.pole_coordinates], x[len(coordinates.pole_coordinates) :], delays])
+            bounded[k : 2 * k] = sign * np.maximum(sign * square, least)
+        return np.concatenate([bounded[coordinates.pole_coordinates], x[len(coordinates.pole_coordinates) :], delays])
 
     def reach(self, projection: ConstrainedProjection) -> Array:
         """Longest steps: of poles a bin and the half-width of a peak; unlimited for what is nearly linear."""
-        kept, widths = self.coordinates.pole_coordinates, np.full(len(projection.x), np.inf)
-        widths[: len(kept)] = self.region.reach(projection.sections)[kept]
+        pole_coordinates, widths = self.coordinates.pole_coordinates, np.full(len(projection.x), np.inf)
+        widths[: len(pole_coordinates)] = self.region.reach(projection.sections)[pole_coordinates]
         if self.delays is not None:
             widths[self.coordinates.size :] = self.delays.step
         return widths
@@ -351,7 +352,7 @@ def constrained(
             projection, layout, lambda: constrained(projection, layout, "classical", region, _ITERATIONS)
         )
     steps = _ITERATIONS if iterations is None else max(iterations, _FEW)
-    return Approach.towards(projection, layout, hypothesis, region, delays, steps).at_most(iterations).fit
+    return Approach.from_free_fit(projection, layout, hypothesis, region, delays, steps).continued(iterations).fit
 
 
 @dataclass(frozen=True)
@@ -363,7 +364,7 @@ class Approach:
     refinement: Refinement[ConstrainedProjection]
 
     @classmethod
-    def towards(
+    def from_free_fit(
         cls, projection: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion,
         delays: Delays | None = None, steps: int = _FEW,
     ) -> Approach:  # fmt: skip
@@ -384,16 +385,16 @@ class Approach:
             x = refine(tangent, x, rtol=TUNING.rough, max_iterations=steps, last=False).projection.x
         return cls(hypothesis, problem, Refinement(problem.project(x), converged=not len(x)))
 
-    def at_most(self, iterations: int | None) -> Approach:
+    def continued(self, iterations: int | None) -> Approach:
         """The same after so many iterations in all, or at the minimum: with None it is followed to its last digit."""
-        most, last = _ITERATIONS if iterations is None else iterations, iterations is None
-        end = continue_refinement(self.problem, replace(self.refinement), rtol=_EXACT, max_iterations=most, last=last)
+        limit, last = _ITERATIONS if iterations is None else iterations, iterations is None
+        end = continue_refinement(self.problem, replace(self.refinement), rtol=_EXACT, max_iterations=limit, last=last)
         while end.converged and (point := _at_bound(self.problem, end.projection)) is not end.projection:
-            end = refine(self.problem, point.x, rtol=_EXACT, max_iterations=most, last=last)
+            end = refine(self.problem, point.x, rtol=_EXACT, max_iterations=limit, last=last)
         return replace(self, refinement=end)
 
     @property
-    def share_ahead(self) -> float:
+    def predicted_share(self) -> float:
         """Share of the loss that is left a step of Gauss and Newton ahead, to first order."""
         end = self.refinement.projection
         curvature = np.diag(end.gram)
@@ -405,8 +406,8 @@ class Approach:
     def fit(self) -> StructuredFit:
         """The model that it has come to."""
         coordinates, start, end = self.problem.coordinates, self.problem.start, self.refinement.projection
-        known = end.x[: coordinates.size]
-        shapes, participation = coordinates.shapes(known) if isinstance(coordinates, ShapeCoordinates) else (None, None)
+        model = end.x[: coordinates.size]
+        shapes, participation = coordinates.shapes(model) if isinstance(coordinates, ShapeCoordinates) else (None, None)
         parameters = coordinates.dof - end.deficiency + (0 if end.delays is None else end.delays.count)
         # free residues in the delays that a descent began with may be far from the minimum
         least = start.loss if end.delays is None else min(start.loss, end.loss)
@@ -434,10 +435,10 @@ def _with_best_sizes(projection: FreeProjection, coordinates: ShapeCoordinates, 
     sections, residues, through = coordinates.model(x)
     layout, rows, targets = coordinates.layout, [], []
     modes = [np.where(np.arange(len(residues)) == l, 1.0, 0.0)[:, None, None] * residues for l in range(len(residues))]
-    each = [layout.joined(mode, 0 * through, projection.has_feedthrough) for mode in modes]
-    rest = layout.joined(0 * residues, through, projection.has_feedthrough)
-    for outputs, target, _, by_shared in projection.with_unknowns(sections.p, rest, sections).sensitivities():
-        rows.append(np.stack([-by_shared @ mode[:, outputs].T.ravel() for mode in each], axis=1))
+    mode_unknowns = [layout.joined(mode, 0 * through, projection.has_feedthrough) for mode in modes]
+    static = layout.joined(0 * residues, through, projection.has_feedthrough)
+    for outputs, target, _, by_shared in projection.with_unknowns(sections.p, static, sections).sensitivities():
+        rows.append(np.stack([-by_shared @ mode[:, outputs].T.ravel() for mode in mode_unknowns], axis=1))
         targets.append(target)
     sizes = nnls(np.concatenate(rows), np.concatenate(targets))[0]
     least = _LEAST_SIZE * sizes.max(initial=0.0)
@@ -454,9 +455,9 @@ def _at_bound(problem: ConstrainedProblem, projection: ConstrainedProjection) ->
     for k in np.flatnonzero((roots != 0) & (effects < _WEAK**2 * projection.loss / problem.samples)).tolist():
         x = projection.x.copy()
         x[first + k] = 0.0
-        without = problem.project(x)
-        if without.loss <= projection.loss * (1 + _EXACT):
-            projection = without
+        without_mode = problem.project(x)
+        if without_mode.loss <= projection.loss * (1 + _EXACT):
+            projection = without_mode
     return projection
 
 

@@ -106,12 +106,12 @@ def with_delays(
     if not beginnings:
         return None
     _, beginning, mask = min(beginnings, key=lambda each: each[0])
-    approach = beginning.at_most(_ITERATIONS)
+    approach = beginning.continued(_ITERATIONS)
     known = approach.fit
     far = known.loss / known.projection.rows > _FAR * projection.loss / projection.rows
     if far and not (settled or known.converged):
         return None
-    fit = approach.at_most(None).fit
+    fit = approach.continued(None).fit
     return DelayedStructure(fit, FreeProjection(fit.projection.experiments, fit.p, mask))
 
 
@@ -123,8 +123,8 @@ def _begun(
     rows: Sequence[FreeRows] = delays.rows(projection.experiments)  # type: ignore[type-var]
     for p, mask in starts:
         start = FreeProjection(rows, p, mask)
-        beginning = Approach.towards(start, layout, hypothesis, region.about(start.sections), delays)
-        yield cost_of(beginning.fit, layout.scales) + np.log(max(beginning.share_ahead, EPS)), beginning, mask
+        beginning = Approach.from_free_fit(start, layout, hypothesis, region.about(start.sections), delays)
+        yield cost_of(beginning.fit, layout.scales) + np.log(max(beginning.predicted_share, EPS)), beginning, mask
 
 
 def delays_of(projection: FreeProjection) -> Array:

@@ -132,9 +132,9 @@ def _tested(
     efforts: list[tuple[int | None, float]] = [(0, _BEYOND), (_ITERATIONS, 1.0), (None, 1.0)]
     if is_crowded(projection, region):
         efforts = [(_ITERATIONS, _BEYOND), (None, 1.0)]
-    approach = Approach.towards(projection, layout, hypothesis, region)
+    approach = Approach.from_free_fit(projection, layout, hypothesis, region)
     for iterations, beyond in efforts:
-        approach = approach.at_most(iterations)
+        approach = approach.continued(iterations)
         fit = approach.fit
         test = likelihood_test(projection, fit, parameters - fit.parameters)
         if fit.converged or (test.p < _HOPELESS and test.likelihood_ratio > beyond * test.dof):

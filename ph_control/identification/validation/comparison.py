@@ -36,7 +36,7 @@ from .measured import (
     names_of,
     rms_of,
 )
-from .simulation import Rules, answers_to
+from .simulation import Rules, simulations_of
 
 _SHOWN = 8  # experiments listed one by one
 
@@ -378,7 +378,7 @@ def compare(
         )
     names = names_of(models, labels)
     experiments = []
-    for record, answers in zip(records, answers_to(models, names, records, rules), strict=True):
+    for record, answers in zip(records, simulations_of(models, names, records, rules), strict=True):
         experiments.append(
             ComparedExperiment(
                 record,

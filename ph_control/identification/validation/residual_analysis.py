@@ -43,7 +43,7 @@ from .measured import (
     fit_to,
     names_of,
 )
-from .simulation import Rules, Simulation, answers_to
+from .simulation import Rules, Simulation, simulations_of
 
 _LAGS = 25  # by default, where the data are long enough
 _SAMPLES_PER_LAG = 5
@@ -394,10 +394,10 @@ def residual_analysis(
     (name,) = names_of([model], None)
     L = _largest_lag(lags, records)
     level = _checks.level("confidence", confidence)
-    simulated = [answer for (answer,) in answers_to([model], [name], records, rules)]
+    simulated = [answer for (answer,) in simulations_of([model], [name], records, rules)]
     if steps is None or not isinstance(records[0], Record) or not isinstance(model, PEMResult) or is_simulated(model):
         return _analysed(records, name, simulated, L, level)
-    answers = [answer for (answer,) in answers_to([model], [name], records, replace(rules, horizon=steps))]
+    answers = [answer for (answer,) in simulations_of([model], [name], records, replace(rules, horizon=steps))]
     beside = _analysed(records, name, simulated, L, level)
     return _analysed(records, name, answers, L, level, (steps, simulated, beside.whiteness))
 

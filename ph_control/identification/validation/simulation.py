@@ -96,7 +96,7 @@ class Rules:
         return Hold(dt, self.method, self.intersample)
 
 
-def answers_to(
+def simulations_of(
     models: Sequence[Any], labels: Sequence[str], records: Sequence[Kind], rules: Rules
 ) -> list[list[Simulation]]:
     """What each model says of each experiment; errors name the experiment if there are several."""
@@ -104,7 +104,7 @@ def answers_to(
     for place, record in enumerate(records, start=1):
         try:
             simulations.append(
-                [_answer_to(model, label, record, rules) for model, label in zip(models, labels, strict=True)]
+                [_simulation_of(model, label, record, rules) for model, label in zip(models, labels, strict=True)]
             )
         except StructureError as error:
             if len(records) == 1:
@@ -113,17 +113,17 @@ def answers_to(
     return simulations
 
 
-def _answer_to(model: Any, label: str, record: Kind, rules: Rules) -> Simulation:
+def _simulation_of(model: Any, label: str, record: Kind, rules: Rules) -> Simulation:
     """What a `PEMResult`, a system of this package, or a linear system of python-control says of an experiment."""
     if isinstance(model, PEMResult):
-        return _ahead(_answer_of_fit(model, label, record, rules), model, record, rules)
+        return _prediction_ahead(_simulation_of_fit(model, label, record, rules), model, record, rules)
     if isinstance(record, FrequencyRecord | ResponseMatrix):
         return Simulation(_response(model, label, record), lambda: _no_directions(record))
     _refuse_fitted(model, label, rules)
     system, hold = _system_of(model, label, record), rules.hold(record.dt)
     if isinstance(record, Record) and in_normal_form(system):
-        return _completed(_lossless_motions(system, record, hold), label, record, rules)
-    return _completed(_linear_motions(system, label, record, hold), label, record, rules)
+        return _with_free_motion(_lossless_motions(system, record, hold), label, record, rules)
+    return _with_free_motion(_linear_motions(system, label, record, hold), label, record, rules)
 
 
 def _refuse_fitted(model: Any, label: str, rules: Rules) -> None:
@@ -148,17 +148,17 @@ def _no_directions(record: Kind) -> Directions:
 
 def _system_of(model: Any, label: str, record: Kind) -> Any:
     """The system of a model; refuse what is no linear system, or has not the channels of the data."""
-    system = _of_form(model) if isinstance(model, ModalForm) else model
+    system = _system_of_form(model) if isinstance(model, ModalForm) else model
     if not isinstance(system, ct.StateSpace | ct.TransferFunction):
         raise StructureError(
             f"model {label!r} is a {type(system).__name__}; pass a PEMResult, a system of this package, or a "
             "control.StateSpace or control.TransferFunction"
         )
-    _matching(system, label, record)
+    _matching_channels(system, label, record)
     return system
 
 
-def _of_form(form: Any) -> Any:
+def _system_of_form(form: Any) -> Any:
     """System of a modal form; one that is not passive has a state space only."""
     try:
         return ph(form)
@@ -166,37 +166,39 @@ def _of_form(form: Any) -> Any:
         return form.state_space()
 
 
-def _matching(model: Any, label: str, record: Kind) -> tuple[Indices, Indices]:
+def _matching_channels(model: Any, label: str, record: Kind) -> tuple[Indices, Indices]:
     """Which outputs and inputs of a model are those of the data: by their labels if these are the same, or in order.
 
     Without an input all those of the model are at rest.
     """
     outputs, inputs = list(model.output_labels), list(model.input_labels)
-    several = isinstance(record, Recording | ResponseMatrix)
+    multichannel = isinstance(record, Recording | ResponseMatrix)
     rows = list(record.output_labels) if isinstance(record, Recording | ResponseMatrix) else outputs[:1]
     columns = list(record.input_labels) if isinstance(record, Recording | ResponseMatrix) else inputs[:1]
-    if len(outputs) != len(rows) or (columns and len(inputs) != len(columns)) or (not several and len(inputs) > 1):
-        held = f"{len(columns)} inputs and {len(rows)} outputs" if several else "one of each"
+    if len(outputs) != len(rows) or (columns and len(inputs) != len(columns)) or (not multichannel and len(inputs) > 1):
+        data_channels = f"{len(columns)} inputs and {len(rows)} outputs" if multichannel else "one of each"
         data = "response" if isinstance(record, InFrequency) else "record"
         raise StructureError(
-            f"model {label!r} has {len(inputs)} inputs and {len(outputs)} outputs, the {data} {held}; pass the entries "
-            "that were measured, such as model[0, 0]"
+            f"model {label!r} has {len(inputs)} inputs and {len(outputs)} outputs, the {data} {data_channels}; pass "
+            "the entries that were measured, such as model[0, 0]"
         )
-    each = [
-        np.array([own.index(name) for name in theirs] if sorted(own) == sorted(theirs) else np.arange(len(own)), int)
-        for own, theirs in ((outputs, rows), (inputs, columns))
+    indices = [
+        np.array(
+            [names.index(name) for name in wanted] if sorted(names) == sorted(wanted) else np.arange(len(names)), int
+        )
+        for names, wanted in ((outputs, rows), (inputs, columns))
     ]
-    return each[0], each[1]
+    return indices[0], indices[1]
 
 
-def _completed(motions: Motions, label: str, record: Record | Recording, rules: Rules) -> Simulation:
+def _with_free_motion(motions: Motions, label: str, record: Record | Recording, rules: Rules) -> Simulation:
     """Add the free motion and the constants that fit the outputs best, where they are asked for."""
     forced, growth = motions.forced, motions.growth
     if not np.isfinite(forced).all():
-        where = int(np.argmin(np.isfinite(forced).reshape(-1, record.samples).all(axis=0)))
+        sample = int(np.argmin(np.isfinite(forced).reshape(-1, record.samples).all(axis=0)))
         raise StructureError(
             f"model {label!r} is unstable: its modes grow by up to {growth:.6g} a sample, and its output leaves the "
-            f"range of doubles at sample {where}; compare on a shorter record, or stabilise the model"
+            f"range of doubles at sample {sample}; compare on a shorter record, or stabilise the model"
         )
     # without it nothing moves in a record without input
     estimate = rules.initial_state == "estimate" or not record.driven
@@ -208,11 +210,11 @@ def _completed(motions: Motions, label: str, record: Record | Recording, rules: 
             f"{size:.3g} where {measured:.3g} was measured: no initial state can be told from that; use "
             "initial_state='zero' or a shorter record"
         )
-    parts = [motions.free()] if estimate else []
+    free_motions = [motions.free()] if estimate else []
     # a constant of each output
     constants = np.ones((record.samples, 1)) if forced.ndim == 1 else np.eye(len(forced))[:, None]
     constants = np.broadcast_to(constants, (*forced.shape, constants.shape[-1]))
-    columns = np.concatenate([*parts, constants[..., : constants.shape[-1] * rules.offset]], axis=-1)
+    columns = np.concatenate([*free_motions, constants[..., : constants.shape[-1] * rules.offset]], axis=-1)
     if 0 < columns.shape[-1] >= len(target):
         raise StructureError(
             f"the record has {len(target)} observed output samples and model {label!r} {columns.shape[-1]} states to "
@@ -221,8 +223,8 @@ def _completed(motions: Motions, label: str, record: Record | Recording, rules: 
     # outputs of other units count alike
     scale = np.nanstd(record.y, axis=-1, keepdims=True) if forced.ndim > 1 else np.ones(1)
     scale = np.broadcast_to(np.where(scale > 0, scale, 1.0), forced.shape)[record.observed]
-    lengths = np.linalg.norm(columns[record.observed] / scale[:, None], axis=0)
-    columns = columns / np.where(lengths > 0, lengths, 1.0)
+    norms = np.linalg.norm(columns[record.observed] / scale[:, None], axis=0)
+    columns = columns / np.where(norms > 0, norms, 1.0)
     # the smallest solution, where the columns depend on one another
     rows = columns[record.observed] / scale[:, None]
     coefficients = np.linalg.lstsq(rows, target / scale, rcond=len(target) * _checks.EPS)[0]
@@ -232,16 +234,16 @@ def _completed(motions: Motions, label: str, record: Record | Recording, rules: 
 # --- results of a fit ------------------------------------------------------------------------------------------------
 
 
-def _answer_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules) -> Simulation:
+def _simulation_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules) -> Simulation:
     """What a fit says of an experiment: its own prediction where it was fitted to it, by its own rules elsewhere."""
-    _matching(model, label, record)
+    _matching_channels(model, label, record)
     place = next((k for k, data in enumerate(model.experiments) if same_data(record, data.record)), None)
     if place is not None and _keeps_its_state(model.experiments[place], rules.initial_state):
-        own = partial(_own_directions, model, place)
-        return Simulation(model.experiments[place].predicted, own, True, errors=_errors_at(model, record))
+        own_directions = partial(_own_directions, model, place)
+        return Simulation(model.experiments[place].predicted, own_directions, True, errors=_errors_at(model, record))
     if isinstance(record, FrequencyRecord | ResponseMatrix):
-        answer = _response(model, label, record)
-        return Simulation(answer, lambda: _no_directions(record), errors=_errors_at(model, record))
+        output = _response(model, label, record)
+        return Simulation(output, lambda: _no_directions(record), errors=_errors_at(model, record))
     steps = [data.record.dt for data in model.experiments if isinstance(data.record, InTime)]
     if model.method != "exact" and steps and all(abs(record.dt - h) > _STEP_TOLERANCE * record.dt for h in steps):
         raise StructureError(
@@ -249,7 +251,7 @@ def _answer_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules) -> 
             f"step {steps[0]:.6g}, and holds at that step only"
         )
     data: Any = several(record)
-    outputs, inputs = _matching(model, label, data)
+    outputs, inputs = _matching_channels(model, label, data)
     # in the order of the model, and back
     u = np.zeros((len(inputs), data.samples))
     u[inputs] = data.u if len(data.u) else 0.0
@@ -257,27 +259,27 @@ def _answer_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules) -> 
     y[outputs] = data.y
     state = "estimate" if rules.initial_state == "zero" and not data.driven else rules.initial_state
     prediction = model.predict(replace(data, u=u, y=y, input_labels=model.input_labels), initial_state=state)
-    answer = np.reshape(prediction.outputs, (len(outputs), -1))[outputs]
+    output = np.reshape(prediction.outputs, (len(outputs), -1))[outputs]
     if state == "zero" and model.offsets.any():
         # a constant is that of the sensor, whatever the plant does
-        answer = answer + np.nanmean(np.where(data.observed, data.y - answer, np.nan), axis=1, keepdims=True)
-    answer = answer[0] if isinstance(record, Record) else answer
+        output = output + np.nanmean(np.where(data.observed, data.y - output, np.nan), axis=1, keepdims=True)
+    output = output[0] if isinstance(record, Record) else output
     return Simulation(
-        answer, lambda: _no_directions(record) if place is None else _own_directions(model, place), place is not None
+        output, lambda: _no_directions(record) if place is None else _own_directions(model, place), place is not None
     )
 
 
-def _ahead(answer: Simulation, model: PEMResult, record: Kind, rules: Rules) -> Simulation:
+def _prediction_ahead(simulation: Simulation, model: PEMResult, record: Kind, rules: Rules) -> Simulation:
     """What a fit foretells some steps ahead, and in which directions it was fitted; of a response its simulation."""
     horizon = rules.horizon
     if horizon is None or isinstance(record, FrequencyRecord | ResponseMatrix) or is_simulated(model):
-        return answer
+        return simulation
     data: Any = several(record)
-    outputs, inputs = _matching(model, "model", data)
+    outputs, inputs = _matching_channels(model, "model", data)
     u = np.zeros((len(inputs), data.samples))
     u[inputs] = data.u if len(data.u) else 0.0
     y, simulated = np.empty_like(data.y), np.empty_like(data.y)
-    y[outputs], simulated[outputs] = data.y, np.reshape(answer.output, data.y.shape)
+    y[outputs], simulated[outputs] = data.y, np.reshape(simulation.output, data.y.shape)
 
     def shaped(values: Array) -> Array:
         return values[outputs][0] if isinstance(record, Record) else values[outputs]
@@ -286,28 +288,28 @@ def _ahead(answer: Simulation, model: PEMResult, record: Kind, rules: Rules) -> 
         """Derivatives of the prediction `simulated + F (y - simulated)` with a linear filter F, and by this filter."""
         if grows(model):
             return _no_directions(record)
-        each, nothing = answer.directions(), np.where(np.isnan(y), np.nan, 0.0)
+        fitted, nothing = simulation.directions(), np.where(np.isnan(y), np.nan, 0.0)
         shared, local = (
             np.array([ahead(model, column[None], nothing, data.dt, horizon)[0] for column in columns.T])
             .reshape(columns.T.shape).T
-            for columns in (each.shared, each.local)
+            for columns in (fitted.shared, fitted.local)
         )  # fmt: skip
         return Directions(shared, local)
 
-    past = max(model.noise.orders) * answer.own if model.noise else 0
+    past = max(model.noise.orders) * simulation.own if model.noise else 0
     moving = rules.initial_state != "zero" or not data.driven
     predicted = ahead_of_growth(model, u, y, data.dt, horizon, moving) if grows(model) else (
         ahead(model, simulated, y, data.dt, horizon)
     )  # fmt: skip
-    return Simulation(shaped(predicted), directions, answer.own, past)
+    return Simulation(shaped(predicted), directions, simulation.own, past)
 
 
 def _errors_at(model: PEMResult, record: Kind) -> LineErrors | None:
     """Errors of windowed responses at the frequencies of a record, as a fit to such has them."""
     if not isinstance(record, InFrequency) or record.window is None:
         return None
-    every: list[Any] = [data.record for data in model.experiments if isinstance(data.record, InFrequency)]
-    return next((data.errors for data in every if np.array_equal(data.omega, record.omega)), None)
+    responses: list[Any] = [data.record for data in model.experiments if isinstance(data.record, InFrequency)]
+    return next((data.errors for data in responses if np.array_equal(data.omega, record.omega)), None)
 
 
 def _own_directions(model: PEMResult, place: int) -> Directions:
@@ -334,12 +336,12 @@ def _lossless_columns(system: LosslessSystem, samples: int, hold: Hold) -> Array
     An observable form shows every mode, whatever its weight, and for repeated frequencies motions that grow.
     """
     modes = system.modes
-    everything = isinstance(system, ObservableHamiltonian)
-    d = modes.d[modes.nu.any(axis=1) | everything]
+    observable = isinstance(system, ObservableHamiltonian)
+    d = modes.d[modes.nu.any(axis=1) | observable]
     k = np.arange(float(samples))
     repeats = np.arange(len(d)) - np.searchsorted(d, d)
-    motions = hold.step(imaginary(-d)).powers(k) * (k / samples) ** (repeats if everything else 0 * repeats)[:, None]
-    if everything:
+    motions = hold.step(imaginary(-d)).powers(k) * (k / samples) ** (repeats if observable else 0 * repeats)[:, None]
+    if observable:
         powers = 2 * len(modes.rigid)
     else:
         powers = int(modes.rigid.any()) * (2 if isinstance(system, AffineHamiltonian) else 1)
@@ -376,15 +378,15 @@ def _linear_motions(model: Any, label: str, record: Record | Recording, hold: Ho
             "one of them, or pass the continuous-time model"
         )
     growth = float(np.max(np.abs(np.linalg.eigvals(step.F)), initial=0.0))
-    several = isinstance(record, Recording)
+    multichannel = isinstance(record, Recording)
     u = np.atleast_2d(record.u)
-    if several:
-        rows, columns = _matching(model, label, record)
+    if multichannel:
+        rows, columns = _matching_channels(model, label, record)
         u, C, D = np.zeros((len(columns), record.samples)), C[rows], D[rows]
         u[columns] = record.u if len(record.u) else 0.0
     with np.errstate(over="ignore", invalid="ignore"):
         forced = C @ step_through(step, u) + D @ u
-    if several:
+    if multichannel:
         return Motions(forced, lambda: _free_motions(step.F, C, record.samples), growth)
     return Motions(forced[0], lambda: _free_motions(step.F, C, record.samples)[0], growth)
 
@@ -404,19 +406,21 @@ def _free_motions(F: Array, C: Array, samples: int) -> Array:
 def _response(model: Any, label: str, record: FrequencyRecord | ResponseMatrix) -> ComplexArray:
     """Response at the frequencies of a record; refused where it is infinite at a point that was measured."""
     background = getattr(model, "background", None)
-    late = np.add.outer(model.delay, model.input_delay) if isinstance(model, PEMResult) else np.zeros((1, 1))
+    delays = np.add.outer(model.delay, model.input_delay) if isinstance(model, PEMResult) else np.zeros((1, 1))
     system = _system_of(getattr(model, "observed_system", model), label, record)
     points = 1j * record.omega if system.isctime() else np.exp(1j * _sampled_phases(system, label, record))
     if record.window is not None:
-        response = _through_window(model, system, label, record)
+        response = _windowed_response(model, system, label, record)
     else:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             response = system.horner(points, warn_infinite=False)
     response = response if background is None else response + background.response(record.omega)
-    if late.any():
+    if delays.any():
         with np.errstate(invalid="ignore"):
-            response = response * np.exp(-1j * np.multiply.outer(late, record.omega))
-    response = response[np.ix_(*_matching(system, label, record))] if record.observed.ndim > 1 else response[0, 0]
+            response = response * np.exp(-1j * np.multiply.outer(delays, record.omega))
+    response = (
+        response[np.ix_(*_matching_channels(system, label, record))] if record.observed.ndim > 1 else response[0, 0]
+    )
     infinite = ~np.isfinite(response)
     offending = np.flatnonzero((infinite & record.observed).reshape(-1, record.samples).any(axis=0))
     if len(offending):
@@ -428,7 +432,7 @@ def _response(model: Any, label: str, record: FrequencyRecord | ResponseMatrix) 
     return np.asarray(response, complex)
 
 
-def _through_window(model: Any, system: Any, label: str, record: FrequencyRecord | ResponseMatrix) -> ComplexArray:
+def _windowed_response(model: Any, system: Any, label: str, record: FrequencyRecord | ResponseMatrix) -> ComplexArray:
     """Response of a model as the window of the data shows it, in the order of the channels of the model.
 
     Of a system that is no fit, inputs without content beyond the Nyquist frequency are taken for held ones.
@@ -436,21 +440,21 @@ def _through_window(model: Any, system: Any, label: str, record: FrequencyRecord
     window = record.window
     assert window is not None
     if isinstance(model, PEMResult):
-        halves = halved(model.poles, model.residues)
-        return windowed_response(window, record.omega, model.poles, halves, model.feedthrough)
+        half_residues = halved(model.poles, model.residues)
+        return windowed_response(window, record.omega, model.poles, half_residues, model.feedthrough)
     hold = Hold(window.step, "exact", "zoh" if window.hold == "bandlimited" else window.hold)
-    held = replace(window, hold=hold.intersample)
+    held_window = replace(window, hold=hold.intersample)
     m, count = len(system.input_labels), window.length + 1
-    answers = []
+    impulse_responses = []
     for k in range(m):
         u = np.zeros((m, count))
         u[k, 1] = 1.0  # a linear input rises before
-        unit = recording(
+        impulse = recording(
             None, window.step, list(u), list(np.zeros((len(system.output_labels), count))),
             tuple(system.input_labels), tuple(system.output_labels),
         )  # fmt: skip
-        answers.append(_linear_motions(system, label, unit, hold).forced[:, 1:])
-    return estimated_response(held, np.stack(answers, axis=1), record.omega)
+        impulse_responses.append(_linear_motions(system, label, impulse, hold).forced[:, 1:])
+    return estimated_response(held_window, np.stack(impulse_responses, axis=1), record.omega)
 
 
 def _sampled_phases(system: Any, label: str, record: FrequencyRecord | ResponseMatrix) -> Array:
