@@ -46,8 +46,8 @@ def margin(*args: Any) -> tuple[float, float, float, float]:
 
     Raises
     ------
-    ValueError
-        If the arguments are not of this form, as python-control says it, or a coefficient is not finite.
+    StructureError
+        If the arguments are not of this form, or a coefficient is not finite; a ValueError.
 
     See Also
     --------
@@ -94,15 +94,15 @@ def stability_margins(
 
     Returns
     -------
-    gm, pm, sm : float or ndarray, shape (K,)
+    gm, pm, sm : float, or ndarray of shapes (K,), (L,), (M,) with `returnall`
         Gain margin, phase margin in degrees, and least distance of the Nyquist plot from -1.
-    wpc, wgc, wms : float or ndarray, shape (K,)
+    wpc, wgc, wms : float, or ndarray of shapes (K,), (L,), (M,) with `returnall`
         Frequencies of each, rad per unit time; NaN for a margin that is infinite.
 
     Raises
     ------
-    ValueError
-        If the arguments are not of this form, as python-control says it, or a coefficient is not finite.
+    StructureError
+        If the arguments are not of this form, or a coefficient is not finite; a ValueError.
 
     See Also
     --------
@@ -122,6 +122,9 @@ def stability_margins(
     Examples
     --------
     >>> import ph_control as phc
+    >>> gm, pm, sm, wpc, wgc, wms = phc.stability_margins(phc.frenkel_kontorova())
+    >>> gm, pm, sm
+    (inf, 90.0, 1.0)
     >>> gm, pm, sm, wpc, wgc, wms = phc.stability_margins(phc.frenkel_kontorova(), returnall=True)
     >>> gm, pm, sm, wms.round(6)
     (array([], dtype=float64), array([-90.,  90., -90.,  90.]), array([1.]), array([1.]))

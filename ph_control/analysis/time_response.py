@@ -89,7 +89,9 @@ def forced_response(
         Input at these instants; shape (T, m) with `transpose`.
     initial_state : array_like, shape (2n,), or a number
         State `z` at the first instant.
-    transpose, return_states, squeeze
+    transpose : bool
+        Time along the first axis of inputs and outputs.
+    return_states, squeeze : bool, optional
         As in `control.forced_response`.  States are computed when first looked at, or at once with
         `return_states=True`; with `return_states=False` the response has none.  Unless it is given,
         the inputs of the response cannot be written: the states may still be made of them.
@@ -110,6 +112,8 @@ def forced_response(
     ------
     StructureError
         If the system is none of these, the instants are not equally spaced, or sizes do not fit.
+    TypeError
+        If a keyword is unknown, or an argument is given twice, under both of its names.
 
     Notes
     -----
@@ -129,6 +133,12 @@ def forced_response(
     >>> t = np.linspace(0, 2 * np.pi, 5)
     >>> phc.forced_response(sys, t, 1.0).outputs.round(12) + 0.0
     array([ 0.,  1.,  0., -1.,  0.])
+
+    A list of systems has a list of responses:
+
+    >>> responses = phc.forced_response([sys, phc.ph(phc.modes(2.0, 1.0))], t, 1.0)
+    >>> len(responses), responses[1].outputs.shape
+    (2, (5,))
     """
 
     def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
@@ -194,12 +204,17 @@ def step_response(
         Show this input or output only.
     timepts_num : int, optional
         Number of instants.
-    transpose, return_states, squeeze
+    transpose, return_states : bool
         As in `control.step_response`.
-    method, intersample
+    squeeze : bool, optional
+        As there.
+    method : {'exact', 'midpoint', 'euler'}
+        As in `forced_response`.
+    intersample : {'zoh', 'foh'}
         As in `forced_response`.
     **aliases
-        `T`, `T_num`, `X0`, `input`, `output`, `return_x`.
+        `T`, `T_num`, `X0`, `input`, `output`, `return_x` for `timepts`, `timepts_num`, `initial_state`,
+        `input_indices`, `output_indices`, `return_states`.
 
     Returns
     -------
@@ -207,7 +222,7 @@ def step_response(
 
     Raises
     ------
-    StructureError
+    StructureError, TypeError
         As `forced_response`.
 
     Notes
@@ -276,7 +291,7 @@ def impulse_response(
 
     Raises
     ------
-    StructureError
+    StructureError, TypeError
         As `forced_response`.
 
     Notes
@@ -343,7 +358,7 @@ def initial_response(
 
     Raises
     ------
-    StructureError
+    StructureError, TypeError
         As `forced_response`.
 
     Notes

@@ -82,7 +82,8 @@ def read_netlist(
     StructureError
         If there is no port or no ground, a part is not connected to ground, sources contradict each other,
         a source charges capacitors or cuts inductors without anything between (its current would contain the derivative
-        of its voltage), couplings supply energy, or controlled sources are no transformer.
+        of its voltage), couplings supply energy, or controlled sources are no transformer; or if `parameters` are
+        not names of elements with a value, or one of them is named twice.
 
     Notes
     -----

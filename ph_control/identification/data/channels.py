@@ -269,7 +269,10 @@ def several(data: Record | Recording) -> Recording: ...
 @overload
 def several(data: Any) -> Recording | ResponseMatrix: ...
 def several(data: Any) -> Recording | ResponseMatrix:
-    """The same data as a `Recording` or `ResponseMatrix`, which may have several channels."""
+    """The same data as a `Recording` or `ResponseMatrix`, which may have several channels.
+
+    A `Record` has one output, and one input if it is driven; a `FrequencyRecord` one entry; others are as they were.
+    """
     named = {name: getattr(data, name) for name in ("input_labels", "output_labels", "title", "time_unit")}
     if isinstance(data, FrequencyRecord):
         response, weights = data.response[None, None], data.weights[None, None]
