@@ -53,6 +53,13 @@ class OptimalDamping(Frozen):
     cost, cost_before : float
         H2 norm with and without the devices, infinite where a mode of the plant has no damping; of the criterion
         'damping' the smallest damping ratio.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> best = phc.optimal_damping(phc.spring_chain([1.0], ground=1.0))
+    >>> best.gains.shape, best.stiffnesses, best.cost < best.cost_before
+    ((1,), None, True)
     """
 
     plant: PortHamiltonian

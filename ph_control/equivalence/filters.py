@@ -35,6 +35,13 @@ class Verdict:
         What proves it, or None: the matrix `L`, the pair `(P, A)`, or the common modal form.
     reason : str
         The answer in words.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> verdict = phc.same_filter(phc.modes(1.0, 2.0), phc.modes(2.0, 1.0))
+    >>> verdict.holds, verdict.reason
+    (False, 'the residues at frequency 1 differ: 2 and 0')
     """
 
     holds: bool

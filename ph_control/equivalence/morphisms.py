@@ -206,6 +206,13 @@ class ExpressivePower(Frozen):
         Basis of the states that are missed, in the coordinates of the port-Hamiltonian system: the complement of
         the image that is orthogonal in the energy.  The output does not see it either, so it is also the kernel of
         the observable morphism.  Orthonormal for `S = I`.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> power = phc.expressive_power([1.0, 2.0], [1.0, 0.0, 0.0, 0.0])
+    >>> power.rank, power.dark, power.missing.shape
+    (2, (1,), (4, 2))
     """
 
     rank: int
@@ -306,6 +313,14 @@ class MorphismCheck:
         Whether the rank is the number of columns: no state of the first system is lost.
     surjective : bool
         Whether the rank is the number of rows: every state of the second system is reached.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> spring = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0])
+    >>> check = phc.is_morphism(2 * np.eye(2), spring, spring)
+    >>> bool(check), check.dynamics, check.injective
+    (False, 0.0, True)
     """
 
     dynamics: float

@@ -46,7 +46,7 @@ def damping_plot(
     ----------
     sys : PortHamiltonian
         The plant.
-    controller : PortHamiltonian, float or array_like
+    controller : PortHamiltonian, float, or array_like of shape (k,) or (k, k)
         What is joined to its ports, as for `damping_injection`.
     ports : sequence of int or str, optional
         Ports of the plant, as for `damping_injection`.

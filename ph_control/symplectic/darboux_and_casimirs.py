@@ -66,6 +66,14 @@ class CasimirSplit(Frozen):
     A driven Casimir `c' = B_c u` becomes the momentum of an added position `q_c' = dH/dc`, on which nothing depends.
     A Casimir that no port drives stays what it was at the start and is set to 0 here: another value would only add a
     constant force.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> J = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    >>> split = phc.split_casimirs(np.diag([1.0, 1.0, 3.0]), [0.0, 1.0, 0.0], J)
+    >>> split.rank, split.casimirs, split.driven
+    (2, array([[0., 0., 1.]]), array([False]))
     """
 
     Q: Array

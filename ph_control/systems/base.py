@@ -191,6 +191,24 @@ class LosslessSystem(ct.StateSpace):
         """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN.
 
         Runs on modal coordinates: O(n) a point, accurate arbitrarily close to a pole.
+
+        Parameters
+        ----------
+        x : array_like, shape (N,)
+            Points of the complex plane.
+        warn_infinite : bool
+            As python-control has it; poles are met without a warning.
+
+        Raises
+        ------
+        StructureError
+            If the points are not a vector of numbers.
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> phc.ch(1.0, [1.0, 0.0]).horner([0.0, 1.0])
+        array([[[0. +0.j, 0.5+0.j]]])
         """
         return self.modes.evaluate(x)
 
@@ -201,6 +219,20 @@ class LosslessSystem(ct.StateSpace):
 
         There the phase of a lossless response jumps by a little less than half a turn, which would leave open which way
         it went: up at a zero, down at a pole.  What unwraps it, as `control.bode_plot` does, goes the same way.
+
+        Parameters
+        ----------
+        omega : array_like, shape (N,), optional
+            Angular frequencies, rad per unit time; by default those that python-control chooses.
+        squeeze : bool, optional
+            As in `control.frequency_response`.
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> response = phc.ph(phc.modes(1.0, 1.0)).frequency_response([0.5, 2.0])
+        >>> response.magnitude.round(6), response.phase.round(6)
+        (array([0.666667, 0.666667]), array([ 1.570796, -1.570796]))
         """
         response = super().frequency_response(omega, squeeze)
         parts = response.frdata.real, response.frdata.imag
@@ -214,7 +246,21 @@ class LosslessSystem(ct.StateSpace):
         return response
 
     def bode_plot(self, *args: Any, **kwargs: Any) -> ct.ControlPlot:
-        """Bode plot of python-control; as `control.bode_plot`, with phases that start between -180 and 180 degrees."""
+        """Bode plot of python-control; as `control.bode_plot`, with phases that start between -180 and 180 degrees.
+
+        Raises
+        ------
+        TypeError
+            If an argument is none of those of `control.bode_plot`.
+
+        Examples
+        --------
+        >>> import ph_control as phc, matplotlib.pyplot as plt
+        >>> plot = phc.ph(phc.modes(1.0, 1.0)).bode_plot()
+        >>> plot.axes.shape
+        (2, 1)
+        >>> plt.close(plot.figure)
+        """
         if ct.config.defaults.get("freqplot.initial_phase") is None:
             kwargs.setdefault("initial_phase", 0)
         try:
@@ -224,14 +270,28 @@ class LosslessSystem(ct.StateSpace):
             raise TypeError(str(error)) from None
 
     def poles(self) -> ComplexArray:
-        """Eigenvalues of A, shape (2n,): `±i d`, and 0 twice for each degree of freedom without a frequency."""
+        """Eigenvalues of A, shape (2n,): `±i d`, and 0 twice for each degree of freedom without a frequency.
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> phc.ch([1.0, 2.0], [1.0, 0.5, 0.0, 0.0]).poles().imag
+        array([-2., -1.,  1.,  2.])
+        """
         return self._poles(self.modes.d)
 
     def _poles(self, d: Array) -> ComplexArray:
         return imaginary(np.concatenate([-d[::-1], np.zeros(2 * (self.n - len(d))), d]))
 
     def zeros(self) -> ComplexArray:
-        """Zeros; all on the imaginary axis.  See `ModalForm.zeros`."""
+        """Zeros; all on the imaginary axis.  See `ModalForm.zeros`.
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> phc.ph(phc.modes([1.0, 2.0], [1.0, 1.0])).zeros().imag.round(6)
+        array([-1.414214,  0.      ,  1.414214])
+        """
         return self.modes.zeros.copy()
 
     def _names(self) -> dict[str, Any]:

@@ -302,7 +302,14 @@ class PortHamiltonian(LosslessSystem):
         return self._spectrum.r
 
     def poles(self) -> ComplexArray:
-        """Eigenvalues of A, shape (2n,): `±i d`, and 0 twice for each degree of freedom without a frequency."""
+        """Eigenvalues of A, shape (2n,): `±i d`, and 0 twice for each degree of freedom without a frequency.
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> phc.ph(phc.modes([1.0, 2.0], [1.0, 0.5])).poles().imag
+        array([-2., -1.,  1.,  2.])
+        """
         return self._poles(self.d)
 
     @View
@@ -444,6 +451,11 @@ class PortHamiltonian(LosslessSystem):
         Returns
         -------
         DissipativePortHamiltonian or control.StateSpace
+
+        Raises
+        ------
+        TypeError
+            If `other` is no system, number or matrix.
 
         Examples
         --------

@@ -106,6 +106,15 @@ class CanonicalMargins:
     near_pairs : int
         Pairs of frequencies that `minreal` keeps apart although they lie within 1e-9 of each other, as those of a
         symmetric structure whose matrices are rounded; `minreal(sys, rtol=1e-9)` merges them.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> margins = phc.canonical_margins(phc.ph(phc.modes([1.0, 2.0], [1.0, 0.25])))
+    >>> margins.is_canonical, margins.resonance, margins.pair
+    (True, 0.5, (0, 1))
+    >>> margins.degeneracy, margins.mode
+    (0.5, 1)
     """
 
     is_canonical: bool

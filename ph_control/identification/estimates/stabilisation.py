@@ -49,6 +49,17 @@ class Stabilisation(Report, Frozen):
         What the fit says of each experiment, for the picture.
     time_unit : str or None
         Unit of time of the data.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> rng, plant = np.random.default_rng(0), phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+    >>> u = rng.standard_normal(400)
+    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs
+    >>> y = y + 0.01 * rng.standard_normal(400)
+    >>> diagram = phc.pem((u, y), dt=0.1).stabilisation(beyond=1)
+    >>> diagram.orders, diagram.order, [len(poles) for poles in diagram.poles]
+    (array([1, 2, 3]), 2, [1, 2, 3])
     """
 
     orders: Indices

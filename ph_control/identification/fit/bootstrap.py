@@ -71,6 +71,19 @@ class Bootstrap(Frozen):
     Notes
     -----
     `len(bootstrap)` is the number of refits that did converge; only these count below.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> rng, plant = np.random.default_rng(0), phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+    >>> u = rng.standard_normal(400)
+    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs
+    >>> y = y + 0.01 * rng.standard_normal(400)
+    >>> again = phc.pem((u, y), dt=0.1).bootstrap(20, rng=1)
+    >>> len(again), again.failed, again.poles.shape
+    (20, 0, (20, 2))
+    >>> again.stderr["natural_frequencies"].shape
+    (2,)
     """
 
     poles: ComplexArray

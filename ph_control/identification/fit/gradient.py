@@ -70,6 +70,15 @@ class GradientResult(Report, Frozen):
         What happened, in sentences.
     record : Record
         The data.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> u = np.random.default_rng(0).standard_normal(100)
+    >>> y = phc.forced_response(phc.ph(phc.modes(1.0, 0.5)), 0.1 * np.arange(100), u, method="euler").outputs
+    >>> result = phc.gradient_descent((u, y), 1, dt=0.1, epochs=20, initial_guess=([1.1], [0.5, 0.0], [0.0, 0.0]))
+    >>> result.loss_history.shape, result.best_epoch, result.diverged
+    ((21,), 20, False)
     """
 
     parameters: str

@@ -175,7 +175,7 @@ def pem(
     parameters : array_like, shape (P,), or mapping from name to value, optional
         Where parameters of the `model` start, to a factor of two or so; zero ones have the size 1.  Default: the
         `values` of the function, as those of a netlist.
-    bounds : pair of array_like, optional
+    bounds : pair of array_like, shape (P,) or numbers, optional
         Lower and upper bounds of the parameters, numbers or vectors (P,), as in `scipy.optimize.least_squares`.
 
     Returns

@@ -48,9 +48,9 @@ class OrderSelection(Report, Frozen):
         Criteria of Akaike, the same corrected for short records, and of Schwarz; the smallest is best.
     holdout : ndarray, shape (k,), or None
         Mean squared error over what was held out, of models fitted to the rest.
-    frequencies : tuple of ndarray
+    frequencies : tuple of ndarray, shapes (n,) for n in `orders`
         Natural frequencies of each order, ascending, rad per unit time.
-    stable : tuple of ndarray of bool
+    stable : tuple of ndarray of bool, shapes (n,) for n in `orders`
         Which of them were there one order before already.
     samples : int
         Observed output samples; of responses real and imaginary parts.
@@ -58,6 +58,17 @@ class OrderSelection(Report, Frozen):
         How many of them were held out.
     time_unit : str or None
         Unit of time of the data; None where it is not known.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> rng, plant = np.random.default_rng(0), phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+    >>> u = rng.standard_normal(400)
+    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs
+    >>> y = y + 0.01 * rng.standard_normal(400)
+    >>> selection = phc.order_selection((u, y), 3, dt=0.1)
+    >>> selection.orders, selection.chosen()
+    (array([0, 1, 2, 3]), 2)
     """
 
     orders: Indices

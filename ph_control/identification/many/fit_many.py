@@ -43,6 +43,13 @@ class RecordingFitted:
         The recording.
     message : str
         Verdict of the fit, or what went wrong.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> progress = phc.RecordingFitted(2, 0, 10, "day 2", "two modes")
+    >>> f"{progress.done} of {progress.total}, {progress.failed} failed: {progress.name}"
+    '2 of 10, 0 failed: day 2'
     """
 
     done: int

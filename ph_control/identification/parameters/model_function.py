@@ -64,7 +64,7 @@ class ModelFunction:
             From an array (P,) to a system.
         parameters : array_like, shape (P,), or mapping from name to value, or None
             Where to start; None takes the `values` of the function, as `read_netlist` gives them.
-        bounds : pair of array_like, optional
+        bounds : pair of array_like, shape (P,) or numbers, optional
             Lower and upper bounds, numbers or (P,), as in `scipy.optimize.least_squares`.
 
         Returns

@@ -169,7 +169,7 @@ def update_model(
         Where the parameters start.
     result : PEMResult
         Fitted modes with their covariance, best of a fit with ``structure="free"``: `f` is the structure.
-    bounds : pair of array_like, optional
+    bounds : pair of array_like, shape (P,) or numbers, optional
         Lower and upper bounds of the parameters, numbers or vectors (P,).
     quantities : sequence of {'natural_frequencies', 'damping_ratios', 'residues', 'shapes'}, optional
         What is compared.  Default: frequencies; of a model with losses damping ratios; residues where model and fit

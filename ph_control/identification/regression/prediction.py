@@ -220,6 +220,17 @@ class FittedExperiment(FittedData):
         Standard error of the offset; NaN if it was not estimated.
     noise_scale : float
         Standard deviation of its noise, beside the root of the `noise_variance` of the result.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> rng, plant = np.random.default_rng(0), phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+    >>> u = rng.standard_normal(400)
+    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs
+    >>> y = y + 0.01 * rng.standard_normal(400)
+    >>> (experiment,) = phc.pem((u, y), dt=0.1).experiments
+    >>> experiment.predicted.shape, experiment.initial_state.shape
+    ((400,), (4,))
     """
 
     record: Record | FrequencyRecord
@@ -338,6 +349,17 @@ class FittedChannels(FittedData):
         Standard errors of the offsets; NaN where none was estimated.
     noise_scale : float
         Standard deviation of its noise, beside the root of the `noise_variance` of the result.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> rng, plant = np.random.default_rng(0), phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+    >>> u = rng.standard_normal(400)
+    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs
+    >>> y = np.stack([y, 2 * y]) + 0.01 * rng.standard_normal((2, 400))
+    >>> (experiment,) = phc.pem((u, y), dt=0.1).experiments
+    >>> experiment.predicted.shape, experiment.free_amplitudes.shape
+    ((2, 400), (2, 2))
     """
 
     record: Recording | ResponseMatrix

@@ -40,6 +40,17 @@ class ModalSamples(Draws):
     -----
     `len(samples)` is k.  Bands are pointwise percentiles over the draws, their ends interpolated
     between neighbouring draws.  Of the share beyond an end, `p = (1 - level)/2`, seeds differ by about `sqrt(p/k)`.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> rng, plant = np.random.default_rng(0), phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+    >>> u = rng.standard_normal(400)
+    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs
+    >>> y = y + 0.01 * rng.standard_normal(400)
+    >>> models = phc.pem((u, y), dt=0.1).sample(100, rng=1)
+    >>> len(models), models.poles.shape, models.residues.shape
+    (100, (100, 2), (100, 2, 1, 1))
     """
 
     poles: ComplexArray

@@ -41,7 +41,7 @@ class NoiseModel(Frozen):
         None where nothing drives them but the inputs.
     cross : array_like, shape (n, p), optional
         Covariance of that with `e`, as of forces that accelerometers feel at once; None for 0.
-    states : pair of ndarray, optional
+    states : pair of ndarray, shapes (n, n) and (p, n), optional
         `A` (n, n) and `C` (p, n) of the states that the forces drive; a `PEMResult` enters its own.
     apart : bool
         Whether these states are beside those of the plant, with the same poles: what outputs see of a motion by forces

@@ -93,6 +93,17 @@ class Comparison(Report, HeldData, Frozen):
         Names of the outputs.
     horizon : int or None
         Steps ahead that outputs are predicted; None of simulations.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> rng, plant = np.random.default_rng(0), phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+    >>> u = rng.standard_normal(400)
+    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs
+    >>> y = y + 0.01 * rng.standard_normal(400)
+    >>> comparison = phc.compare((u, y), plant, phc.pem((u, y), dt=0.1), dt=0.1)
+    >>> comparison.fit_percent.round(), comparison.own_record
+    (array([98., 98.]), (False, True))
     """
 
     labels: tuple[str, ...]

@@ -132,6 +132,17 @@ class ResidualAnalysis(Report, HeldData, Frozen):
         tell nothing, so that the residuals are those of the simulation.
     simulation_fit_percent, simulation_whiteness : float
         Fit, and p-value of white residuals, where outputs are simulated.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> rng, plant = np.random.default_rng(0), phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+    >>> u = rng.standard_normal(400)
+    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs
+    >>> y = y + 0.01 * rng.standard_normal(400)
+    >>> analysis = phc.residual_analysis((u, y), plant, dt=0.1)
+    >>> analysis.lags.shape, analysis.cross_correlation.shape, analysis.whiteness > 0.01
+    ((51,), (51,), True)
     """
 
     label: str
