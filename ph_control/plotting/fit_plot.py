@@ -33,6 +33,7 @@ from .style import (
 )
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from typing_extensions import Unpack
 
 _FEW_PERIODS = 10  # that are seen in the whole record
@@ -291,10 +292,10 @@ def draw_outputs(axis: Axes, outputs: Outputs, measured: dict[str, Any]) -> list
     return lines
 
 
-def _draw_errors(axis: Axes, outputs: Outputs, styles: list[dict[str, Any]]) -> list[Any]:
+def _draw_errors(axis: Axes, outputs: Outputs, styles: list[dict[str, Any]]) -> list[Artist]:
     axis.axhline(0.0, **ZERO)
     axis.set_xlim(outputs.time[0], outputs.time[-1])
-    lines: list[Any] = []
+    lines: list[Artist] = []
     # the smaller error is drawn over the larger
     for k in np.argsort([float(np.nanmean(error**2)) for error in outputs.errors])[::-1]:
         lines += axis.plot(*extremes(outputs.time, outputs.errors[k]), linewidth=0.8, **styles[k])

@@ -25,6 +25,7 @@ from .style import AxesGiven, LineStyle, Look, MarkStyle, Picture, frequency_axi
 WeightKind = Literal["kappa", "r"]
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from typing_extensions import Unpack
 
 _WIDE = 1e3  # ratio of weights beyond which they are drawn to a logarithmic scale
@@ -211,7 +212,7 @@ def _damped_table(label: str, modes: Any, quantity: str) -> ModeTable:
     return ModeTable(label, d, size, at_zero, unknown, unknown, None, zeta)
 
 
-def _draw_modes(axis: Axes, tables: list[ModeTable], port: int, unit: float, look: Look) -> list[Any]:
+def _draw_modes(axis: Axes, tables: list[ModeTable], port: int, unit: float, look: Look) -> list[Artist]:
     size = np.concatenate([table.size[:, port] for table in tables])
     shown = size[size > 0]
     logarithmic = bool(len(shown)) and float(shown.max()) > _WIDE * float(shown.min())
@@ -526,8 +527,8 @@ def _strip_axis(axis: Axes, maps: list[PoleZeroMap], low: float, high: float, li
     axis.spines[["left", "right", "top"]].set_visible(False)
 
 
-def _draw_plane(axis: Axes, maps: list[PoleZeroMap], unit: float, unit_name: str, look: Look) -> list[Any]:
-    lines: list[Any] = []
+def _draw_plane(axis: Axes, maps: list[PoleZeroMap], unit: float, unit_name: str, look: Look) -> list[Artist]:
+    lines: list[Artist] = []
     discrete = maps[0].discrete
     scale = 1.0 if discrete else unit
     axis.axhline(0.0, **_AXIS)

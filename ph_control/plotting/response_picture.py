@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -27,6 +27,9 @@ from .style import (
     plain,
     plain_log_labels,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
 
 _SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
 _DOT = 1 / 1200  # of the width of a picture
@@ -432,7 +435,9 @@ def draw_responses(
     return drawn
 
 
-def draw_part(axis: Axes, responses: DrawnResponses, part: str, i: int, j: int, look: Look, scale: Scale) -> list[Any]:
+def draw_part(
+    axis: Axes, responses: DrawnResponses, part: str, i: int, j: int, look: Look, scale: Scale
+) -> list[Artist]:
     """One part of an entry on its axes, which get their range; lines of curves, then of measurements."""
     values, dots = responses.values(part, i, j, scale)
     if part in CARTESIAN:

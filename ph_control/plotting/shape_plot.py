@@ -46,6 +46,7 @@ from .style import (
 Direction = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from typing_extensions import Unpack
 
 _MOST = 12  # modes of one picture
@@ -640,7 +641,7 @@ def _draw_in_plane(axis: Axes, places: Array, shape: Array, look: Look) -> list[
     return marks
 
 
-def _draw_frame(axis: Axes, frame: WireFrame, shape: Array, look: Look) -> list[Any]:
+def _draw_frame(axis: Axes, frame: WireFrame, shape: Array, look: Look) -> list[Artist]:
     """The structure at rest and displaced, with a mark at each sensor; lines of both."""
     flat = frame.nodes.shape[1] == 2
     drawn: list[Any] = []

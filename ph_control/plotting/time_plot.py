@@ -30,6 +30,7 @@ from .inputs import Subject, lateness_of, models_around, subjects_of, timebase, 
 from .style import BAND, DOTS, ZERO, AxesGiven, LineStyle, Look, extremes, labelled, picture, plain
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from typing_extensions import Unpack
 
 KINDS = ("impulse", "step")
@@ -443,8 +444,10 @@ def _band(trace: Trace, models: Any, kind: str, level: float) -> TimeBand:
 # --- drawing ---------------------------------------------------------------------------------------------------------
 
 
-def _draw_responses(axis: Axes, numbers: TransientData, i: int, j: int, look: Look, time_unit: str | None) -> list[Any]:
-    lines: list[Any] = []
+def _draw_responses(
+    axis: Axes, numbers: TransientData, i: int, j: int, look: Look, time_unit: str | None
+) -> list[Artist]:
+    lines: list[Artist] = []
     for k, trace in enumerate(numbers.traces):
         line = _draw_trace(axis, trace, i, j, look.curve(k))
         colour = line.get_color()

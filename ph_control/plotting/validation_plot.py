@@ -47,6 +47,7 @@ from .style import (
 )
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from typing_extensions import Unpack
 
 # the line between two points is not the response, which may have a resonance there
@@ -192,7 +193,7 @@ class CorrelationPanel:
     title: str
     abscissa: str
 
-    def draw(self, axis: Axes, look: Look) -> list[Any]:
+    def draw(self, axis: Axes, look: Look) -> list[Artist]:
         """Stems; those that leave the band in another colour; feedback and response are parted at lag 0."""
         band = np.where(np.isfinite(self.band), self.band, 0.0)
         # one step wide at each lag
@@ -202,7 +203,7 @@ class CorrelationPanel:
         )  # fmt: skip
         axis.axhline(0.0, **ZERO)
         out = np.abs(self.values) > self.band
-        lines: list[Any] = []
+        lines: list[Artist] = []
         for mask, colour, marker, name in ((~out, _INSIDE, "o", "inside"), (out, _OUTSIDE, "D", "outside")):
             lags, values = self.lags[mask], self.values[mask]
             axis.vlines(lags, 0.0, values, color=colour, linewidth=1.2, zorder=2)
@@ -232,7 +233,7 @@ class ResponsePanel:
     Hz: bool = False
     gain_unit: str | None = None
 
-    def draw(self, axis: Axes, look: Look) -> list[Any]:
+    def draw(self, axis: Axes, look: Look) -> list[Artist]:
         """Both in decibels over frequency."""
         unit, unit_name = frequency_axis(self.Hz, self.time_unit)
         parts = self.measured[None], self.residuals[None, None]
@@ -316,8 +317,8 @@ def _draw_orders(axis: Axes, orders: Indices, frequencies: Sequence[Array], stab
     return lines
 
 
-def _draw_criteria(axis: Axes, orders: Indices, criteria: Mapping[str, Array]) -> list[Any]:
-    lines: list[Any] = []
+def _draw_criteria(axis: Axes, orders: Indices, criteria: Mapping[str, Array]) -> list[Artist]:
+    lines: list[Artist] = []
     for name, above in criteria.items():
         colour, marker, style = _CRITERIA[name]
         lines += axis.plot(
@@ -571,8 +572,8 @@ _LEVELS: list[dict[str, Any]] = [
 ]
 
 
-def _draw_levels(axis: Axes, table: StabilisationData, unit: float) -> list[Any]:
-    lines: list[Any] = []
+def _draw_levels(axis: Axes, table: StabilisationData, unit: float) -> list[Artist]:
+    lines: list[Artist] = []
     for level, (name, look) in enumerate(zip(table.names, _LEVELS, strict=False)):
         d, order = table.points(level)
         lines += axis.plot(d / unit, order, linestyle="none", label=name, zorder=3 + 0.1 * level, **look)
