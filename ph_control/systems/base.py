@@ -256,10 +256,11 @@ class LosslessSystem(ct.StateSpace):
         Examples
         --------
         >>> import ph_control as phc, matplotlib.pyplot as plt
+        >>> figure = plt.figure()
         >>> plot = phc.ph(phc.modes(1.0, 1.0)).bode_plot()
         >>> plot.axes.shape
         (2, 1)
-        >>> plt.close(plot.figure)
+        >>> plt.close(figure)
         """
         if ct.config.defaults.get("freqplot.initial_phase") is None:
             kwargs.setdefault("initial_phase", 0)
