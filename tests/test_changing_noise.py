@@ -89,6 +89,15 @@ def test_a_result_has_the_recording_that_was_given(fits, tmp_path):
     np.testing.assert_allclose(resampled, result.stderr["natural_frequencies"], rtol=0.5)
 
 
+def test_noise_that_triples_for_half_of_a_recording_is_no_outliers():
+    u, y = recorded(0, [1.0])
+    y[0, 450:] += np.sqrt(8) * 0.03 * y.std() * np.random.default_rng(1).standard_normal(450)
+    result = phc.pem((u, y), 2, dt=STEP, structure="free")
+    (finding,) = changes_in(result)
+    assert abs(finding.values[2] - 450) < 20 and abs(finding.values[3] / finding.values[1] - 3) < 0.5
+    assert result.outcome.name == "CONSISTENT"
+
+
 def test_noise_that_looks_correlated_may_change():
     """So few loud samples count that outputs look alike by chance; here they are."""
     u, y = recorded(0, [10.0, 10.0])

@@ -56,46 +56,55 @@ _EFFICIENCY = 0.37  # of the median of absolute values beside the mean of square
 def changing_levels(fit: FreeFit) -> tuple[Array | None, ...] | None:
     """Level of the noise of each recording (p, T), None where it is the same; None where that is so in all.
 
-    The logarithms of squared innovations have the same variance whatever the level, and hardly feel outliers: spans are
-    those of their means that are most likely, with a price for each change.  Outputs change together where that is
-    likelier.  Nothing is said of outputs that are saturated, and beside outliers: errors of these are no noise.
+    What is nothing but rounding has no noise.
     """
     channels = fit.channels
     unfit = fit.interrupted or fit.rounding or fit.per_entry or is_long(channels)
     if unfit or not all(isinstance(channel, Recording) for channel in channels):
         return None
-    if any(saturation(row)[0] for channel in channels for row in channel.original.y):
-        return None
-    seen, rows = list[Array](), [list[tuple[FreeRecord, Array]]() for _ in channels]
+    noise: list[Array] = [np.full(channel.y.shape, np.nan) for channel in channels]
     places = experiments_of(fit.projection.experiments, channels).tolist()
     for record, predicted, place in zip(fit.projection.experiments, fit.projection.predictions(), places, strict=True):
         assert isinstance(record, FreeRecord)
-        level = 1.0 if record.level is None else record.level
-        residuals = record.residuals(predicted)
-        seen += [np.where(record.observed, each, np.nan) for each in residuals]
-        rows[place].append((record, level * np.stack([_innovations(each) for each in residuals])))
-    # what a few of them have done to a fit is no noise either
-    if any(outliers(seen, sum(len(each) for each in seen) - fit.unknowns)):
+        channel, level = channels[place], 1.0 if record.level is None else record.level
+        first = channel.samples - record.length if record.whole_record is None else record.whole_record.first
+        residuals = level * np.stack([_innovations(each) for each in record.residuals(predicted)])
+        sizes = fit.scales[record.outputs, None] * record.unit
+        part = slice(first, first + record.length)
+        noise[place][record.outputs, part] = np.where(record.observed, residuals * sizes, np.nan)
+    return levels_of_noise(channels, noise, fit.unknowns)
+
+
+def levels_of_noise(
+    channels: Sequence[Recording], noise: Sequence[Array], unknowns: int
+) -> tuple[Array | None, ...] | None:
+    """Level of white noise (p, T) of each recording, None where it is the same; None where that is so in all.
+
+    The logarithms of squared innovations have the same variance whatever the level, and hardly feel outliers: spans are
+    those of their means that are most likely, with a price for each change.  Outputs change together where that is
+    likelier.  Nothing is said of outputs that are saturated, and beside outliers: errors of these are no noise.
+    """
+    if any(saturation(row)[0] for channel in channels for row in channel.original.y):
         return None
-    levels = tuple(_levels(channel, each, fit.scales) for channel, each in zip(channels, rows, strict=True))
-    return None if all(level is None for level in levels) else levels
+    levels = tuple(_levels(channel, each) for channel, each in zip(channels, noise, strict=True))
+    if all(level is None for level in levels):
+        return None
+    seen = [row for each, level in zip(noise, levels, strict=True) for row in (each if level is None else each / level)]
+    seen = [row for row in seen if np.isfinite(row).any()]
+    # what a few of them have done to a fit is no noise either
+    return None if any(outliers(seen, sum(map(len, seen)) - unknowns)) else levels
 
 
-def _levels(channel: Recording, rows: Sequence[tuple[FreeRecord, Array]], scales: Array) -> Array | None:
-    """Level of the noise of each output (p, T) of a recording, with a geometric mean of 1; None where none changes.
+def _levels(channel: Recording, noise: Array) -> Array | None:
+    """Level of the noise (p, T) of each output of a recording, with a geometric mean of 1; None where none changes.
 
     An output that rests on one of its digits has the noise of its digits there.
     """
-    samples, noise = channel.samples, dict[int, Array]()
-    for record, residuals in rows:
-        first = samples - record.length if record.whole_record is None else record.whole_record.first
-        for output, residual in zip(record.outputs.tolist(), residuals, strict=True):
-            each = np.full(samples, np.nan)
-            each[first : first + record.length] = np.where(record.observed, residual, np.nan)
-            noise[output] = np.hypot(each, _of_digits(channel.original.y[output]) / (scales[output] * record.unit))
-    if not noise or min(np.count_nonzero(each == each) for each in noise.values()) < 4 * _SHORTEST * _PIECE:
+    outputs = np.flatnonzero(np.isfinite(noise).any(axis=1))
+    digits = np.array([_of_digits(channel.original.y[output]) for output in outputs])
+    every = np.hypot(noise[outputs], digits[:, None])
+    if not len(every) or np.isfinite(every).sum(axis=1).min() < 4 * _SHORTEST * _PIECE:
         return None
-    every = np.stack(list(noise.values()))
     apart = [_level(each, _spans(each[None])) for each in every]
     together = _spans(every)
     alike = [_level(each, together) for each in every]
@@ -107,8 +116,8 @@ def _levels(channel: Recording, rows: Sequence[tuple[FreeRecord, Array]], scales
     chosen = [shared] * len(every) if cost_shared <= cost else apart
     if all(level.max() < _WORTH * level.min() for level in chosen):
         return None
-    levels = np.ones((len(channel.output_labels), samples))
-    for output, each, level in zip(noise, every, chosen, strict=True):
+    levels = np.ones(noise.shape)
+    for output, each, level in zip(outputs, every, chosen, strict=True):
         if level.max() >= _WORTH * level.min():
             levels[output] = level / np.exp(np.mean(np.log(level[each == each])))
     return levels
