@@ -50,6 +50,7 @@ _SHARE = 0.03  # of the samples: with more of them the noise has another distrib
 _REPEATED = 5  # samples with the largest value of all, below which nothing is said of the range
 _OFTEN = 2.0  # times as many of them as of the values next to it
 _NEAR = 0.01, 0.1  # of the range: what is next to its end, and how far to look for that
+_RESTS = 20, 4.0  # samples of one value, and times as many as elsewhere, of an output that moves no more
 _EFFICIENCY = 0.37  # of the median of absolute values beside the mean of squares
 
 
@@ -408,6 +409,20 @@ def saturation(y: Signal) -> tuple[int, tuple[float, ...]]:
         if held:
             stuck, limits = stuck + count, (*limits, float(end))
     return stuck, limits
+
+
+def stuck(y: Array) -> tuple[int, int] | None:
+    """First sample, and how many, of the longest part in which an output stays at one value; None where it moves.
+
+    Of values of few digits several parts are about as long, and nothing is said.
+    """
+    borders = np.flatnonzero(np.append(True, y[1:] != y[:-1]))
+    lengths = np.diff(np.append(borders, len(y)))
+    longest = int(np.argmax(lengths))
+    fewest, ratio = _RESTS
+    if lengths[longest] < max(fewest, ratio * np.delete(lengths, longest).max(initial=0)):
+        return None
+    return int(borders[longest]), int(lengths[longest])
 
 
 def _parts(residuals: NDArray[Any]) -> Array:

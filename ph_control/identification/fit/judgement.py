@@ -21,7 +21,7 @@ from ...modal.discretization import Hold
 from ..data.channels import Recording
 from ..data.time_record import Difference, Record, Signal, blocks
 from ..diagnosis.fitted_directions import directions_of
-from ..diagnosis.noise_levels import level_of, outliers, saturation
+from ..diagnosis.noise_levels import level_of, outliers, saturation, stuck
 from ..diagnosis.nonlinearity import not_linear
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, POOR_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
 from ..estimates.estimates import Estimates
@@ -38,6 +38,12 @@ from ..uncertainty.residual_tests import ljung_box, without_peaks
 _HALF = 0.05  # of half a sample: what a delay may differ from it by
 _OPPOSED = 0.7  # cosine of the angle within which a residue points against the force
 _FEW = 20  # samples beyond the unknowns, with fewer of which nothing can be judged
+
+# what casts doubt on the data
+DOUBTS = {
+    Cause.STUCK: "an output stays at one value", Cause.OUTLIERS: "some values are far out of the noise",
+    Cause.SWAPPED: "columns are probably swapped", Cause.SATURATION: "an output stays at an end of its range",
+}  # fmt: skip
 
 # poles in words
 _CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
@@ -79,7 +85,7 @@ class Evidence:
         free, whiteness = estimates.free, _whiteness_of(estimates)
         findings = [
             *(_in_model(finding, estimates.experiments) for finding in findings), *_lateness(estimates),
-            *rejections(estimates.tests), *_reversed(estimates), *_saturated(estimates.experiments), *not_linear(free),
+            *rejections(estimates.tests), *_reversed(estimates), *saturated(estimates.experiments), *not_linear(free),
         ]  # fmt: skip
         findings += _same_columns(free.channels)
         if estimates.fit_percent < GOOD_FIT:
@@ -229,11 +235,7 @@ def _doubts(evidence: Evidence) -> list[str]:
     """Why a fit is doubtful, and what may be done about it."""
     estimates, most = evidence.estimates, evidence.estimates.request.most
     if not (evidence.whiteness < WHITE and estimates.fit_percent < GOOD_FIT):
-        reasons = {
-            Cause.OUTLIERS: "some values are far out of the noise", Cause.SWAPPED: "columns are probably swapped",
-        }  # fmt: skip
-        shown = [reason for cause, reason in reasons.items() if evidence.shows(cause)]
-        return [f"Doubtful, as {(shown or ['the data reject the structure that was given'])[0]}."]
+        return [doubt_about(evidence.findings)]
     sentences = [
         f"Doubtful, as the fit is {estimates.fit_percent:.0f} %, less than {GOOD_FIT:.0f} %, and what is left is no "
         "white noise."
@@ -243,9 +245,16 @@ def _doubts(evidence: Evidence) -> list[str]:
     if not any(len(channel.input_labels) for channel in estimates.free.channels):
         sentences.append(
             "This is no free decay if forces that were not measured, such as wind or traffic, act all along: "
-            "noise='forces' takes it as such, of recordings without missing samples and without a given structure."
+            "noise='forces' takes it as such, of recordings with few missing samples and without a given structure."
         )
     return sentences
+
+
+def doubt_about(findings: Sequence[Finding]) -> str:
+    """Which of some findings casts doubt on the data, or that these reject the structure."""
+    causes = {finding.cause for finding in findings}
+    reasons = [reason for cause, reason in DOUBTS.items() if cause in causes]
+    return f"Doubtful, as {(reasons or ['the data reject the structure that was given'])[0]}."
 
 
 def _about_poles(estimates: Estimates) -> list[str]:
@@ -360,7 +369,7 @@ def _in_rows(record: Any, channel: Any, values: NDArray[Any]) -> list[Array]:
     return [scaled.real, scaled.imag]
 
 
-def _saturated(experiments: Sequence[FittedChannels]) -> list[Finding]:
+def saturated(experiments: Sequence[FittedChannels]) -> list[Finding]:
     """Outputs of recordings that stay at an end of their range."""
     every = [
         (k, experiment.record) for k, experiment in enumerate(experiments) if isinstance(experiment.record, Recording)
@@ -371,6 +380,17 @@ def _saturated(experiments: Sequence[FittedChannels]) -> list[Finding]:
         for name, row in zip(record.output_labels, record.y, strict=True)
     ]
     return [Finding(Cause.SATURATION, (float(count), *of), 0.0, name, k) for k, name, (count, of) in ends if count]
+
+
+def at_rest(experiments: Sequence[FittedChannels]) -> list[Finding]:
+    """Outputs of recordings that stay at one value for a part of them."""
+    findings = []
+    for k, experiment in enumerate(experiments):
+        for name, row in zip(experiment.record.output_labels, experiment.measured, strict=True):
+            part = stuck(row)
+            if part is not None:
+                findings.append(Finding(Cause.STUCK, (*map(float, part), float(row[part[0]])), 0.0, name, k))
+    return findings
 
 
 def _outlying(estimates: Estimates) -> list[Finding]:

@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse.linalg import LinearOperator, cg
 
 from ..._heartbeat import Report
-from ..._types import Array, ComplexArray, Indices
+from ..._types import Array, ComplexArray, Indices, Mask
 from ..data.channels import Recording
 from ..search.fitted_modes import Criteria
 from ..search.predictor_states import cross_correlations, longest_past
@@ -36,6 +37,9 @@ _SAME = 1e-13  # of the variance of outputs: what others leave of one that is a 
 _PATIENCE = 8  # states more without a better criterion
 _ROUGH = 20.0  # what a step gains at least before models of set-ups are compared
 _FEW = 3  # of these more without a better criterion
+_ROUNDS = 5  # of a fit, and of missing samples in its noise, in turn
+_SETTLED = 0.02  # of the prediction errors: change of missing samples
+_ITERATIONS = 300  # of missing samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +73,18 @@ class AmbientFit:
         Standard deviation of each output, and its mean in each experiment, NaN where it was not measured.
     orders : tuple of AmbientOrder
         Models of ascending order, as their canonical variates have them.
+    outputs : tuple of ndarray, shapes (p, T)
+        Outputs of each experiment, with the likeliest values of samples that are missing.
+    missing : int
+        How many samples these are.
     """
 
     minimum: Minimum
     scales: Array
     means: Array
     orders: tuple[AmbientOrder, ...]
+    outputs: tuple[Array, ...]
+    missing: int = 0
 
     @property
     def evaluation(self) -> LikelihoodEvaluation:
@@ -102,6 +112,11 @@ class AmbientFit:
         return self.evaluation.unknowns + int(np.isfinite(self.means).sum())
 
     @property
+    def spare(self) -> int:
+        """Samples that were measured beyond the unknowns; 1 at least."""
+        return max(1, self.samples - self.missing - self.unknowns)
+
+    @property
     def size(self) -> float:
         """Sum of the logarithms of the scales, of all samples."""
         return sum(
@@ -123,6 +138,11 @@ class AmbientFit:
             counts[outputs] += evaluation.problem.samples
         return np.asarray(squares / counts * self.scales**2)
 
+    @property
+    def cut(self) -> AmbientFit:
+        """The same after an interruption."""
+        return replace(self, minimum=replace(self.minimum, interrupted=True))
+
     def with_real_shapes(self) -> AmbientFit:
         """The fit of modes each of which moves outputs in phase, or opposed."""
         problem = self.evaluation.problem.with_real_shapes()
@@ -139,8 +159,8 @@ def ambient_fit(
     Parameters
     ----------
     channels : sequence of Recording
-        Records without inputs, of the same step and the same outputs, each of which was measured throughout a record or
-        not at all.
+        Records without inputs, of the same step and the same outputs, each of which was measured in a record, but for
+        some samples, or not at all.
     order, real_poles : int, optional
         Numbers of modes and of real poles; by default those that the criterion prefers.
     max_order : int
@@ -160,21 +180,105 @@ def ambient_fit(
     Notes
     -----
     Exact Gaussian maximum likelihood but for the first samples, whose motion is estimated.  O(T p^2 N) a model of N
-    states on the way, O(T p^3 N^2) a step of those that are refined.
+    states on the way, O(T p^3 N^2) a step of those that are refined.  Missing samples are unknowns of the likelihood:
+    a fit, and their values in its noise, in turn.
     """
-    data = _Standardised.of(channels)
-    if data.longest < 2 or not (len(data.references) and data.is_independent):
-        return None
-    more = real_poles if real_poles is not None else _REAL if order is not None else 1
-    most = 2 * (max_order if order is None else order) + more
-    models = data.models(most, order is None, reports)
-    fitting = [model for model in models.best if _has(model.noise, order, real_poles) and model.order <= max_order]
-    if not fitting:
-        return None
-    least = min(model.bic for model in fitting)
-    close = [model for model in sorted(fitting, key=lambda model: model.bic)[:_CLOSE] if model.bic < least + _NEAR]
-    end = _refined(data.problem, close, criterion, reports, models.interrupted)
-    return AmbientFit(end, data.scales, data.means, models.best)
+
+    def fitted(outputs: Sequence[Array]) -> AmbientFit | None:
+        data = _Standardised.of(outputs)
+        if data.longest < 2 or not (len(data.references) and data.is_independent):
+            return None
+        more = real_poles if real_poles is not None else _REAL if order is not None else 1
+        most = 2 * (max_order if order is None else order) + more
+        models = data.models(most, order is None, reports)
+        fitting = [model for model in models.best if _has(model.noise, order, real_poles) and model.order <= max_order]
+        if not fitting:
+            return None
+        least = min(model.bic for model in fitting)
+        close = [model for model in sorted(fitting, key=lambda model: model.bic)[:_CLOSE] if model.bic < least + _NEAR]
+        end = _refined(data.problem, close, criterion, reports, models.interrupted)
+        return AmbientFit(end, data.scales, data.means, models.best, tuple(outputs))
+
+    missing = [_missing(channel.y) for channel in channels]
+    fit = fitted([_bridged(channel.y) for channel in channels])
+    for _ in range(_ROUNDS if any(each.any() for each in missing) else 0):
+        if fit is None or fit.minimum.interrupted:
+            break
+        outputs = _completed(fit, missing)
+        moved = [((y - old) ** 2)[gaps] for y, old, gaps in zip(outputs, fit.outputs, missing, strict=True)]
+        sizes = [np.broadcast_to(fit.variances[:, None], gaps.shape)[gaps] for gaps in missing]
+        fit = fitted(outputs)
+        if np.sum(np.concatenate(moved)) < _SETTLED**2 * np.sum(np.concatenate(sizes)):
+            break
+    return fit and replace(fit, missing=sum(int(each.sum()) for each in missing))
+
+
+def _missing(y: Array) -> Mask:
+    """Samples that are missing of outputs (p, T) that were measured."""
+    unseen = np.isnan(y)
+    return np.asarray(unseen & ~unseen.all(axis=1, keepdims=True))
+
+
+def _bridged(y: Array) -> Array:
+    """Outputs (p, T) with lines from sample to sample where some are missing."""
+    gaps, t = _missing(y), np.arange(y.shape[1])
+    y = np.array(y, float) if gaps.any() else y
+    for row, gap in zip(y, gaps, strict=True):
+        if gap.any():
+            row[gap] = np.interp(t[gap], t[~gap], row[~gap])
+    return y
+
+
+def errors_beside(fit: AmbientFit, missing: Sequence[Mask]) -> list[Array]:
+    """Prediction errors (p, T) of each experiment in units of the data, with the likeliest values of some samples.
+
+    NaN of outputs that were not measured.
+    """
+    every, completed = [np.full(y.shape, np.nan) for y in fit.outputs], _completed(fit, missing)
+    for outputs, members, evaluation in fit.evaluation.by_set_up:
+        scales, experiments = fit.scales[outputs, None], evaluation.problem.experiments
+        for place, errors, experiment in zip(members.tolist(), evaluation.errors, experiments, strict=True):
+            if missing[place].any():
+                moved = np.fft.rfft((completed[place] - fit.outputs[place])[outputs] / scales)
+                moved = evaluation.point.noise.errors(experiment.z, moved / np.sqrt(experiment.samples))
+                errors = errors + moved
+            every[place][outputs] = np.fft.irfft(errors, experiment.samples) * np.sqrt(experiment.samples) * scales
+    return every
+
+
+def _completed(fit: AmbientFit, missing: Sequence[Mask]) -> list[Array]:
+    """Outputs (p, T) of each experiment with the values of missing samples that are likeliest in the noise of a fit."""
+    completed = [y.copy() for y in fit.outputs]
+    for outputs, members, evaluation in fit.evaluation.by_set_up:
+        noise, scales = evaluation.point.noise, fit.scales[outputs, None]
+        for place, errors, experiment in zip(
+            members.tolist(), evaluation.errors, evaluation.problem.experiments, strict=True
+        ):
+            gaps, samples = missing[place][outputs], experiment.samples
+            if not gaps.any():
+                continue
+            H = np.eye(len(outputs)) + noise.outputs_of_states(experiment.z) @ noise.K
+            inverse = np.linalg.inv(H @ evaluation.covariance @ H.conj().transpose(0, 2, 1))
+
+            def weighted(spectrum: ComplexArray, inverse: ComplexArray = inverse, gaps: Mask = gaps) -> Array:
+                whole = np.fft.irfft(np.einsum("bij,jb->ib", inverse, spectrum), gaps.shape[1])
+                return np.asarray(whole[gaps])
+
+            def gram(values: Array, gaps: Mask = gaps, weighted: Callable[..., Array] = weighted) -> Array:
+                y = np.zeros(gaps.shape)
+                y[gaps] = values
+                return weighted(np.fft.rfft(y))
+
+            size = int(gaps.sum())
+            motion = np.einsum("bij,jb->ib", H, errors) * np.sqrt(samples)
+            change, _ = cg(
+                LinearOperator((size, size), matvec=gram, dtype=float), -weighted(motion),
+                rtol=_SETTLED * 1e-2, maxiter=_ITERATIONS,
+            )  # fmt: skip
+            y = completed[place][outputs]
+            y[gaps] += change * np.broadcast_to(scales, gaps.shape)[gaps]
+            completed[place][outputs] = y
+    return completed
 
 
 def _refined(
@@ -238,12 +342,12 @@ class _Standardised:
     means: Array
 
     @classmethod
-    def of(cls, channels: Sequence[Recording]) -> _Standardised:
-        """Those of recordings."""
-        means = np.stack([channel.y.mean(axis=1) for channel in channels])
+    def of(cls, recorded: Sequence[Array]) -> _Standardised:
+        """Those of outputs (p, T) of some records, NaN where one was not measured."""
+        means = np.stack([y.mean(axis=1) for y in recorded])
         shown = [np.flatnonzero(np.isfinite(mean)) for mean in means]
-        triples = zip(channels, means, shown, strict=True)
-        outputs = [channel.y[rows] - mean[rows, None] for channel, mean, rows in triples]
+        triples = zip(recorded, means, shown, strict=True)
+        outputs = [y[rows] - mean[rows, None] for y, mean, rows in triples]
         squares, counts = np.zeros((2, means.shape[1]))
         for rows, y in zip(shown, outputs, strict=True):
             squares[rows] += np.sum(y**2, axis=1)
@@ -349,7 +453,8 @@ class _Standardised:
 
 def orders_of(channels: Sequence[Recording], most: int) -> list[tuple[ComplexArray, ComplexArray]]:
     """Poles (n,) and shapes (n, p) of models of 1, 2, .. modes, per unit time and in units of the outputs."""
-    data, step, orders = _Standardised.of(channels), channels[0].dt, list[tuple[ComplexArray, ComplexArray]]()
+    data, step = _Standardised.of([_bridged(channel.y) for channel in channels]), channels[0].dt
+    orders = list[tuple[ComplexArray, ComplexArray]]()
     if data.longest < 2:
         return orders
     models = data.models(2 * most + _REAL).best

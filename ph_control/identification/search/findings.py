@@ -53,6 +53,9 @@ class Cause(Enum):
     CORRELATED_NOISE = "noise that outputs share"
     AMBIENT = "ambient excitation"
     CHANGING_NOISE = "noise that changes within a recording"
+    CHANGING_FORCES = "forces that nobody measured and that change within a recording"
+    SLOW_NOISE = "slow noise of a sensor, or forces that change slowly"
+    STUCK = "an output that stays at one value for a part of a recording"
     CHANGING_MODE = "mode that differs between the halves of the recordings"
     MULTIPLE = "mode of a decay that is made of others by a law that is not linear"
     HAMMER_NOISE = "noise of a hammer's force between its contacts"
@@ -88,9 +91,11 @@ class Finding:
         the ends of the band about the peak of their spectrum, rad per unit time, the density there over its geometric
         mean, and the share of their power; of outliers their places, counted from 0; of an output that
         stays at an end of its range how many samples do, and that end or both; of the noise of a hammer's force its
-        standard deviation, and the peak of the force; of noise that changes the first sample of each span, counted
-        from 0, and the noise there over its geometric mean, one after the other; of a mode that changes its natural
-        frequency in the first halves and in the second, and its damping ratios there; of a multiple its frequency, and
+        standard deviation, and the peak of the force; of noise or forces that change the first sample of each span,
+        counted from 0, and the noise there over its geometric mean, one after the other; of slow noise the rates of its
+        real poles; of an output that stays at one value the first of these samples, how many they are, and that value;
+        of a mode that changes its natural frequency in the first halves and in the second, and its damping ratios
+        there; of a multiple its frequency, and
         those that it is the sum of; of wild lines their frequencies, rad per unit time; of the largest order that
         order; of fewer modes the order that was given, and how many reproduce the data; of forces that were not
         measured the root mean square of what inputs do not explain over that of each output; of noise that outputs
@@ -98,7 +103,8 @@ class Finding:
         changes of all that leave no trace together; of columns that are the same the factor between them; of swapped
         columns the flatness of the spectrum of the input and of the output, 1 for white noise.
     gain : float
-        How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers and ends of the range.
+        How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers and ends of the range, and
+        of what is not taken into account.
     output : str
         The output that shows it, of several channels; of a response with its input; of a dead time the input; of
         parameters their names.
@@ -290,6 +296,29 @@ def _of_correlated_noise(finding: Finding, terms: _Terms) -> str:
 
 
 def _of_changing_noise(finding: Finding, terms: _Terms) -> str:
+    which = f"The noise{f' of {finding.output!r}' * bool(finding.output)}"
+    if not finding.gain:
+        return (
+            f"{_of_changing_levels(which, finding)}. Errors are those of noise that stays the same; look for what went "
+            "on there, as a loose cable, and leave that part out, or the output."
+        )
+    return (
+        f"{_of_changing_levels(which, finding)} ({_gain(finding)}). Each sample counts by the noise of its span; look "
+        "for what went on there, as a loose cable or a machine nearby."
+    )
+
+
+def _of_changing_forces(finding: Finding, terms: _Terms) -> str:
+    levels = _of_changing_levels("The size of what cannot be predicted", finding)
+    if not finding.gain:
+        return (
+            f"{levels}, by forces or by noise of the sensors. Errors are those of a steady motion; fit the parts by "
+            "fit_many, and compare them."
+        )
+    return f"{levels} ({_gain(finding)}): forces are not steady, and each sample counts by the size of its span."
+
+
+def _of_changing_levels(which: str, finding: Finding) -> str:
     starts, sizes = finding.values[::2], finding.values[1::2]
     quiet, ends = min(sizes), (*starts[1:], np.inf)
     spans = [
@@ -297,10 +326,24 @@ def _of_changing_noise(finding: Finding, terms: _Terms) -> str:
         for start, end, size in zip(starts, ends, sizes, strict=True) if size > quiet
     ]  # fmt: skip
     listed = first_of(spans, _LISTED, ", ...")
+    return f"{which}{_experiment(finding, 'in')} changes: beside its lowest level it is {listed}"
+
+
+def _of_slow_noise(finding: Finding, terms: _Terms) -> str:
+    poles = f"{'a real pole' if len(finding.values) == 1 else 'real poles'} of rate {_listed_values(finding)}"
+    if finding.output:
+        return (
+            f"{finding.output!r} has slow motion of its own, {poles}: a drift or coloured noise of the sensor, and no "
+            "mode."
+        )
+    return f"Outputs share slow motion, {poles}: forces that are not white, and no mode."
+
+
+def _of_stuck(finding: Finding, terms: _Terms) -> str:
+    first, count, value = finding.values
     return (
-        f"The noise{f' of {finding.output!r}' * bool(finding.output)}{_experiment(finding, 'in')} changes: beside its "
-        f"lowest level it is {listed} ({_gain(finding)}). Each sample counts by the noise of its span; look for what "
-        "went on there, as a loose cable or a machine nearby."
+        f"{finding.output!r}{_experiment(finding, 'in')} stays at {value:.6g} for {count:.0f} samples from sample "
+        f"{first:.0f} on: a sensor or cable that failed. Leave these samples out, or the output."
     )
 
 
@@ -395,7 +438,8 @@ _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
     Cause.POLARITY: _of_polarity, Cause.GAIN_NOISE: _of_gain_noise, Cause.COLOURED_RESIDUALS: _of_coloured_residuals,
     Cause.HUM: _of_hum, Cause.UNEQUAL_NOISE: _of_unequal_noise, Cause.FORCES: _of_forces,
     Cause.CORRELATED_NOISE: _of_correlated_noise, Cause.AMBIENT: _of_ambient,
-    Cause.CHANGING_NOISE: _of_changing_noise,
+    Cause.CHANGING_NOISE: _of_changing_noise, Cause.CHANGING_FORCES: _of_changing_forces,
+    Cause.SLOW_NOISE: _of_slow_noise, Cause.STUCK: _of_stuck,
     Cause.CHANGING_MODE: _of_changing_mode, Cause.MULTIPLE: _of_multiple,
     Cause.HAMMER_NOISE: _of_hammer_noise, Cause.SATURATION: _of_saturation, Cause.WILD_LINES: _of_wild_lines,
     Cause.LARGEST_ORDER: _of_largest_order, Cause.FEWER_MODES: _of_fewer_modes, Cause.OUTLIERS: _of_outliers,
@@ -406,8 +450,8 @@ _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
 
 # what doubts the data comes first, then what doubts the model, then what the model has beside the modes
 _FIRST = (
-    Cause.SAME_COLUMNS, Cause.SWAPPED, Cause.POLARITY, Cause.SATURATION, Cause.OUTLIERS, Cause.WILD_LINES,
-    Cause.CHANGING_MODE, Cause.MULTIPLE, Cause.WRONG_MODEL, Cause.UNIDENTIFIED, Cause.PARAMETER_BOUND,
+    Cause.SAME_COLUMNS, Cause.SWAPPED, Cause.POLARITY, Cause.STUCK, Cause.SATURATION, Cause.OUTLIERS,
+    Cause.WILD_LINES, Cause.CHANGING_MODE, Cause.MULTIPLE, Cause.WRONG_MODEL, Cause.UNIDENTIFIED, Cause.PARAMETER_BOUND,
     Cause.LARGEST_ORDER, Cause.FEWER_MODES, *REJECTED.values(), Cause.INPUT_NOISE, Cause.COLOURED_RESIDUALS,
 )  # fmt: skip
 _MOST = 9  # sentences about findings: some ten lines
