@@ -347,8 +347,10 @@ def _in_their_levels(forced: _Forced, search: _Search) -> _Forced:
     levels = levels_of_noise(channels, forced.in_noise(forced.errors), fit.unknowns)
     if levels is None:
         return forced
-    forced, gain = replace(forced, levels=levels), 0.0
-    together = all(level is None or np.ptp(level, axis=0).max() == 0 for level in levels)
+    shared, gain = tuple(_shared(*pair) for pair in zip(channels, levels, strict=True)), 0.0
+    together = all((each is None) == (level is None) for each, level in zip(shared, levels, strict=True))
+    levels = shared if together else levels
+    forced = replace(forced, levels=levels)
     if together:
         spans = [_spans(*each) for each in zip(forced.parts, levels, strict=True)]
         parts, places = [part for each in spans for part in each], np.repeat(range(len(spans)), list(map(len, spans)))
@@ -364,6 +366,12 @@ def _in_their_levels(forced: _Forced, search: _Search) -> _Forced:
     if together:
         findings = [replace(finding, cause=Cause.CHANGING_FORCES, output="") for finding in findings]
     return replace(forced, findings=(*forced.findings, *findings))
+
+
+def _shared(data: Recording, level: Array | None) -> Array | None:
+    """The level of the noise (p, T) of a recording where all outputs that were measured have the same; else None."""
+    rows = None if level is None else level[data.observed.any(axis=1)]
+    return None if rows is None or np.ptp(rows, axis=0).any() else np.broadcast_to(rows[0], data.y.shape)
 
 
 def _spans(part: Recording, level: Array | None) -> list[Recording]:
@@ -611,9 +619,10 @@ def _experiments(forced: _Forced, poles: int) -> tuple[tuple[FittedChannels, ...
     triples = zip(forced.parts, fit.outputs, every, strict=True)
     predictions = forced.joined([part.unit * (y - errors) + part.hum for part, y, errors in triples])
     means = [
-        np.average([part.unit * mean for part, mean, place in zip(forced.parts, fit.means, forced.places, strict=True)
-                    if place == e], axis=0)
-        for e in range(len(forced.channels))
+        np.mean(each, axis=1) for each in forced.joined([
+            np.broadcast_to(part.unit * mean[:, None], part.y.shape)
+            for part, mean in zip(forced.parts, fit.means, strict=True)
+        ])
     ]  # fmt: skip
     experiments = [
         FittedChannels(channel, np.zeros((poles, p), complex), np.nan_to_num(mean) + line[:, 0], slopes, predicted)

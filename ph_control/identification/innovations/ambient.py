@@ -75,8 +75,8 @@ class AmbientFit:
         Models of ascending order, as their canonical variates have them.
     outputs : tuple of ndarray, shapes (p, T)
         Outputs of each experiment, with the likeliest values of samples that are missing.
-    missing : int
-        How many samples these are.
+    missing : ndarray, shape (p,)
+        How many samples of each output these are.
     """
 
     minimum: Minimum
@@ -84,7 +84,7 @@ class AmbientFit:
     means: Array
     orders: tuple[AmbientOrder, ...]
     outputs: tuple[Array, ...]
-    missing: int = 0
+    missing: Indices
 
     @property
     def evaluation(self) -> LikelihoodEvaluation:
@@ -114,7 +114,12 @@ class AmbientFit:
     @property
     def spare(self) -> int:
         """Samples that were measured beyond the unknowns; 1 at least."""
-        return max(1, self.samples - self.missing - self.unknowns)
+        return max(1, self.measured - self.unknowns)
+
+    @property
+    def measured(self) -> int:
+        """Number of samples that were measured."""
+        return self.samples - int(self.missing.sum())
 
     @property
     def size(self) -> float:
@@ -126,8 +131,10 @@ class AmbientFit:
 
     @cached_property
     def criteria(self) -> Criteria:
-        """Likelihood in the units of the data, and the criteria made of it."""
-        return Criteria.of(-0.5 * self.evaluation.cost - self.size, self.unknowns, float(self.samples))
+        """Likelihood in the units of the data, and the criteria made of it; of what was measured."""
+        size = self.size - float(self.missing @ np.log(self.scales))
+        loglik = -0.5 * self.evaluation.cost * (self.measured / self.samples) - size
+        return Criteria.of(loglik, self.unknowns, float(self.measured))
 
     @property
     def variances(self) -> Array:
@@ -183,6 +190,8 @@ def ambient_fit(
     states on the way, O(T p^3 N^2) a step of those that are refined.  Missing samples are unknowns of the likelihood:
     a fit, and their values in its noise, in turn.
     """
+    missing = [_missing(channel.y) for channel in channels]
+    counts = np.sum([each.sum(axis=1) for each in missing], axis=0)
 
     def fitted(outputs: Sequence[Array]) -> AmbientFit | None:
         data = _Standardised.of(outputs)
@@ -197,11 +206,10 @@ def ambient_fit(
         least = min(model.bic for model in fitting)
         close = [model for model in sorted(fitting, key=lambda model: model.bic)[:_CLOSE] if model.bic < least + _NEAR]
         end = _refined(data.problem, close, criterion, reports, models.interrupted)
-        return AmbientFit(end, data.scales, data.means, models.best, tuple(outputs))
+        return AmbientFit(end, data.scales, data.means, models.best, tuple(outputs), counts)
 
-    missing = [_missing(channel.y) for channel in channels]
     fit = fitted([_bridged(channel.y) for channel in channels])
-    for _ in range(_ROUNDS if any(each.any() for each in missing) else 0):
+    for _ in range(_ROUNDS if counts.any() else 0):
         if fit is None or fit.minimum.interrupted:
             break
         outputs = _completed(fit, missing)
@@ -210,7 +218,7 @@ def ambient_fit(
         fit = fitted(outputs)
         if np.sum(np.concatenate(moved)) < _SETTLED**2 * np.sum(np.concatenate(sizes)):
             break
-    return fit and replace(fit, missing=sum(int(each.sum()) for each in missing))
+    return fit
 
 
 def _missing(y: Array) -> Mask:
