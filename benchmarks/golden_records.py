@@ -167,6 +167,13 @@ def plain(rng: Rng, k: int) -> Record:
     return _lossless(rng, k + 1, 1200)
 
 
+@kind(8)
+def close_together(rng: Rng, k: int) -> Record:
+    """Some modes in few bins, some of them two bins apart."""
+    plant = collocated(rng, frequencies(rng, 4 + k % 3, 0.008, 0.065, 0.1))
+    return Record(plant, recorded(rng, plant, 2000, 0.03), {"dt": STEP})
+
+
 @kind(4)
 def exact(rng: Rng, k: int) -> Record:
     return _lossless(rng, k + 1, 900, 0.0)

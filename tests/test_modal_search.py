@@ -75,6 +75,19 @@ def test_all_modes_residues_and_noises_are_found_from_nothing(order):
     assert not fit.feedthrough.any()
 
 
+@pytest.mark.parametrize("place", [3, 6, 12, 13])
+def test_undamped_modes_close_together_are_told_from_forces(place):
+    rng = np.random.default_rng([place, 6])
+    d, r = np.sort(rng.uniform(0.03, 0.25, 5)), rng.uniform(0.3, 1.0, 5)
+    while np.min(np.diff(d)) < 0.006:  # two bins
+        d = np.sort(rng.uniform(0.03, 0.25, 5))
+    u, y, _ = recorded(1j * d, 0.05 * r[:, None, None], noise=0.03, samples=2000, start=0.0, seed=place)
+    fit = phc.pem((u[0], y[0]), dt=1.0)
+    assert fit.order == 5 and not len(fit.real_poles) and fit.structure == "lossless"
+    assert fit.outcome.name == "CONSISTENT"
+    assert np.abs((fit.natural_frequencies - d) / fit.stderr["natural_frequencies"]).max() < 4.5
+
+
 def test_errors_of_residues_hold():
     found = []
     for seed in range(4):

@@ -72,6 +72,26 @@ def _in_rows(path: FreePath, start: ComplexArray, most: int, automatic: bool) ->
     return model
 
 
+def may_reach(path: FreePath, start: ComplexArray, most: int, bic: float) -> bool:
+    """Whether modes that join from a start lead to a BIC as small as some, or may yet.
+
+    Given up where a mode more, and the best place of all, lower the BIC so little that as many as are open would not
+    reach it.
+    """
+    model = path.reweighted(path.model(start))
+    gap = path.bic(model) - bic
+    while gap > 0:
+        before = gap
+        for better in (joined, _improved):
+            model = better(path, model, most, True) or model
+            gap = path.bic(model) - bic
+            if gap <= (before - gap) * (most - count_modes(model.p)):
+                break
+        else:
+            return False
+    return True
+
+
 def through_orders(path: FreePath, start: ComplexArray, most: int) -> None:
     """Let modes join one by one from a start up to a number of them; the table has the best of each order.
 

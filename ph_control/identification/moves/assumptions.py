@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from ..._options import Discretisation, Interpolation, InterpolationOrAuto
 from ..._types import Array, ComplexArray
 from ..data.channels import Recording
 from ..growth.ending import end_of_search, finished, with_other_hold
-from ..growth.growing import joined
 from ..regression.free import Lateness
 from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import Experiments, RowOptions, records_of
@@ -160,24 +159,25 @@ class Search:
             ),
         )  # fmt: skip
 
+    @property
+    def in_white_noise(self) -> Search:
+        """The same search with noise taken as white."""
+        return replace(self, assumptions=replace(self.assumptions, white=True))
+
     def along(self, path: FreePath, channels: Experiments, begin: ComplexArray | None = None) -> FreeFit:
         """Return the fit at the end of a path, which may begin with other poles."""
         begin = self.begin if begin is None else begin
         return end_of_search(path, begin, self.most, self.automatic, channels, either_hold=self.held is None)
 
     def from_poles(self, path: FreePath, channels: Experiments, p: ComplexArray, bic: float) -> FreeFit | None:
-        """Return a rough fit with as many poles as some, about these; None if its BIC is no larger than another.
-
-        Nor is it that of a fit with a pole more, where the order is open.
-        """
+        """Return a rough fit with as many poles as some, about these; None if its BIC is no larger than another."""
         try:
             model = path.reweighted(path.model(p))
-            more = joined(path, model, self.most, True) if self.automatic else None
         except KeyboardInterrupt:
             if path.best is None:
                 raise
             return finished(path, path.best, channels, interrupted=True)
-        if any(path.bic(each) <= bic for each in (model, more) if each is not None):
+        if path.bic(model) <= bic:
             return None
         path.best = model
         return end_of_search(path, p, count_modes(p), False, channels, either_hold=self.held is None, refined=False)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..._types import ComplexArray
 from ..data.channels import Recording
+from ..growth.growing import may_reach
 from ..regression.free import FreeProjection, Lateness
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
@@ -61,6 +62,8 @@ def in_prevailing_noise(channels: Experiments, search: Search, late: Lateness) -
     if foretold is None:
         return None
     p, bic = foretold
+    if search.automatic and may_reach(search.in_white_noise.path(channels, late), search.begin, search.most, bic):
+        return None
     fit = search.from_poles(path, channels, p, bic)
     if fit is None:
         return None
@@ -80,8 +83,10 @@ def in_prevailing_noise(channels: Experiments, search: Search, late: Lateness) -
         white = path.reweighted(path.model(forced.projection.p))
     except KeyboardInterrupt:
         return Begun(fit, replace(forced, interrupted=True), True)
+    if path.bic(white) <= forced.criteria.bic:
+        return None
     # a predictor takes two modes for one, beside which forces stand for what it lacks
-    return Begun(fit, forced, not errors_leave_traces(forced)) if path.bic(white) > forced.criteria.bic else None
+    return Begun(fit, forced, not errors_leave_traces(forced))
 
 
 def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) -> tuple[ComplexArray, float] | None:
