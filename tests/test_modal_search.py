@@ -88,6 +88,15 @@ def test_undamped_modes_close_together_are_told_from_forces(place):
     assert np.abs((fit.natural_frequencies - d) / fit.stderr["natural_frequencies"]).max() < 4.5
 
 
+def test_a_weak_mode_that_hardly_grows_is_kept():
+    p = np.array([0.5j, 2e-5 + 1.1j, 1.9j])  # by three per cent within the record
+    rho = residues(p - 1.0, 1, 1, 1)
+    rho *= np.array([0.05, 0.003, 0.05])[:, None, None] / np.abs(rho)
+    u, y, _ = recorded(p, rho, noise=0.001, start=0.0, seed=1)
+    fit = phc.pem((u[0], y[0]), dt=1.0, quantity="free")
+    assert fit.order == 3 and np.all(np.abs(fit.natural_frequencies - np.abs(p)) < 1e-4)
+
+
 def test_errors_of_residues_hold():
     found = []
     for seed in range(4):

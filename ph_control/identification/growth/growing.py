@@ -297,11 +297,12 @@ def cleaned(path: FreePath, model: FreeModel, lags: int = 0) -> FreeModel:
 
 
 def growing(path: FreePath, projection: FreeProjection, evidence: Callable[[], Array]) -> Mask:
-    """Return which modes grow and are broad, or no large part of any motion.
+    """Return which modes grow within the record, and are broad or no large part of any motion.
 
     They patch records that are not stationary.
     """
-    modes = (projection.p.imag > 0) & (projection.sigma < -_GROWING * _decay_errors(path, projection))
+    least = np.maximum(_GROWING * _decay_errors(path, projection), TUNING.slowest_growth * path.search.region.bin)
+    modes = (projection.p.imag > 0) & (projection.sigma < -least)
     if modes.any():
         large = _LARGE * float(np.sum(path.power * path.sizes**2))
         modes &= (projection.sigma < -TUNING.broadest * projection.d) | (evidence() < large)
