@@ -1,8 +1,7 @@
 """All numbers of a result, each made from the fitted structure when it is first needed.
 
-Poles, residues and delays in the units of a result, with their covariance; the likelihood, the criteria made of it, and
-the variance of the noise of each output; of each experiment predicted outputs, first states and free motions with
-errors, and the shapes of modes.
+The likelihood, the criteria made of it, and the variance of the noise of each output; of each experiment predicted
+outputs, first states and free motions with errors, and the shapes of modes.
 """
 
 from __future__ import annotations
@@ -14,14 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask, NDArray
+from ..._types import Array, ComplexArray
 from ..._units import DERIVATIVES
 from ..data.channels import Recording, ResponseMatrix, single
 from ..data.frequency_record import FrequencyRecord
 from ..diagnosis.fitted_directions import FittedModel
 from ..diagnosis.noise_levels import level_of
-from ..diagnosis.verdict import HypothesisTest
-from ..regression.free import FreeProjection, GivenResidues
 from ..regression.frequency_rows import FreeResponse
 from ..regression.modal_regressors import output_weight
 from ..regression.prediction import (
@@ -37,180 +34,21 @@ from ..regression.prediction import (
 from ..regression.time_rows import FreeRecord
 from ..search.findings import Cause
 from ..search.fitted_modes import FreeFit
-from ..structure.choice import Choice, Request, places_of
-from ..structure.constrained import StructuredFit
 from ..structure.coordinates import residue_of_unit_weight, weights_of
-from ..structure.hypothesis_tests import is_refused
+from .covariance import FittedStructure, covariance_of, roots
 from .scaled_shapes import ModeShapes, shape_errors
 
 _Rows = Iterator[tuple[int, tuple[Any, Any, Any]]]  # place, rows, what belongs to them alone, prediction
 
 
 @dataclass(frozen=True, eq=False)
-class _FittedStructure:
-    """A structure that was chosen, as it was requested.
-
-    Attributes
-    ----------
-    choice : Choice
-        The free fit, the structure, and its tests.
-    request : Request
-        What was to be assumed.
-    """
-
-    choice: Choice
-    request: Request
-
-    @property
-    def free(self) -> FreeFit:
-        """The free fit that the structure is next to."""
-        return self.choice.free
-
-    @property
-    def tests(self) -> tuple[HypothesisTest, ...]:
-        """Tests of the structures."""
-        return self.choice.tests
-
-    @cached_property
-    def refused(self) -> bool:
-        """Whether the data reject the structure that was given."""
-        return is_refused(self.request.structure, self.tests)
-
-    @cached_property
-    def fit(self) -> StructuredFit:
-        """The structure at its minimum; if it was refused, with the variance of what it leaves."""
-        fit, projection = self.choice.fit, self.free.projection
-        if not self.refused:
-            return fit
-        # who insists on it gets the errors of what it leaves
-        rows_to_spare = max(1, projection.rows - projection.unknowns)
-        return replace(fit, variance=max(fit.variance, fit.loss / rows_to_spare))
-
-    @property
-    def rounding(self) -> bool:
-        """Whether residuals are rounding, and no noise."""
-        return self.free.rounding and not self.refused
-
-    @cached_property
-    def rank(self) -> Indices:
-        """Places of the poles of a result among those of the fit: modes by their frequencies, then real poles."""
-        return np.lexsort((np.abs(self.fit.p), self.fit.p.imag == 0))
-
-    @cached_property
-    def poles(self) -> ComplexArray:
-        """Poles of the result."""
-        return self.fit.p[self.rank]
-
-    @cached_property
-    def residues(self) -> ComplexArray:
-        """Residues of the result (n, p, m)."""
-        return self.fit.residues[self.rank] * np.where(self.poles.imag == 0, 2.0, 1.0)[:, None, None]
-
-    @property
-    def is_single(self) -> bool:
-        """Whether there is one output, and at most one input."""
-        return self.residues.shape[1] == 1 and self.residues.shape[2] <= 1
-
-    @cached_property
-    def measured(self) -> FreeProjection:
-        """The data as they were measured at this model, also at one that was fitted in other rows."""
-        fit, measured = self.fit, self.free.measured
-        if measured is None:
-            return fit.projection
-        rows = measured.experiments
-        if fit.delays is not None:
-            rows = fit.delays.rows(rows)  # type: ignore[type-var]
-        return GivenResidues(FreeProjection(rows, fit.p, measured.fed), fit.projection.shared)
-
-    def own_spreads(self, experiment: int) -> list[tuple[Array, Array]]:
-        """Covariance of what belongs to rows of an experiment, for each output, and with poles and shared unknowns."""
-        fit = self.fit
-        every = fit.covariance if len(fit.p) else self.measured.covariance(fit.variance)
-        return self.measured.own_covariances(experiment, every, fit.variance)
-
-    @cached_property
-    def delays(self) -> tuple[Array, Array]:
-        """Delay of each output and its standard error: NaN if known to a sample only, 0 if it was given."""
-        fit, free, places = self.fit, self.free, places_of(self.free)
-        if fit.delays is not None:
-            return fit.delays.by_output[places], fit.delay_errors[fit.delays.groups][places]
-        late = np.broadcast_to(free.delay, free.scales.shape)[places]
-        return late.copy(), np.where(late != 0, np.nan if free.delay_open else 0.0, 0.0)
-
-
-def _roots(variances: ArrayLike) -> Array:
-    """Standard errors; NaN where so little is shown that rounding leaves less than nothing."""
-    each = np.asarray(variances, float)
-    return np.sqrt(np.where(each >= 0, each, np.nan))
-
-
-def _covariance_of(structure: _FittedStructure) -> Array:
-    """Covariance in the coordinates of a result from that in those of the projection, NaN for what leaves no trace."""
-    fit, free, rank = structure.fit, structure.free, structure.rank
-    n, projection = len(fit.p), fit.projection
-    width, count = projection.shared.shape[0] if projection.shared.size else 0, len(free.scales)
-    places = (2 * n + np.arange(width * count)).reshape(count, width).T
-    scales = np.broadcast_to(free.scales, (width, count))
-    inputs = 0 if not width else projection.inputs
-    entries = fit.residues.shape[1:]
-
-    def split(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Real and imaginary parts (n, p, m) and feedthrough (p, m) of numbers of the shared unknowns."""
-        each = values.reshape(inputs, -1 if inputs else 2 * n, count)
-        real, imag = (np.moveaxis(each[:, k * n : (k + 1) * n], 0, 2).reshape(n, *entries) for k in (0, 1))
-        if each.shape[1] > 2 * n:
-            return real, imag, each[:, 2 * n].T.reshape(entries)
-        return real, imag, np.full(entries, -1 if values.dtype.kind in "iu" else 1, values.dtype)
-
-    real, imag, through = split(places)
-    order = np.concatenate([rank, n + rank, real[rank].ravel(), imag[rank].ravel(), through.ravel()]).astype(int)
-    unit = [np.ones(2 * n), *(part.ravel() for part in (split(scales)[0], split(scales)[1], split(scales)[2]))]
-    seen = split(projection.excited_unknowns.astype(float))
-    lost = np.concatenate([np.zeros(2 * n), *((part == 0).ravel() for part in (seen[0][rank], seen[1][rank], seen[2]))])
-    given = fit.covariance if n else projection.covariance(fit.variance)
-    J, inner = natural_jacobian(fit.p), given.copy()
-    inner[: 2 * n] = J @ inner[: 2 * n]
-    inner[:, : 2 * n] = inner[:, : 2 * n] @ J.T
-    inner = 0.5 * (inner + inner.T)  # but for rounding
-    size = np.concatenate(unit)
-    twice = np.where(fit.p[rank].imag == 0, 2.0, 1.0).repeat(int(np.prod(entries)))
-    size[2 * n :][: 2 * len(twice)] *= np.tile(twice, 2)  # a real pole has its residue in two halves
-    if not inner.size:
-        return np.full((len(order), len(order)), np.nan)
-    covariance = inner[np.ix_(order, order)] * np.outer(size, size)
-    # a structure may tell of residues that free ones do not show
-    unknown = split(_blind(structure).astype(float))
-    hidden = np.concatenate(
-        [np.zeros(2 * n), *(part.ravel() for part in (unknown[0][rank], unknown[1][rank], unknown[2]))]
-    )
-    nothing = np.tile((fit.residues[rank] == 0).ravel(), 2)  # weights that are held at 0
-    still = np.all(fit.residues[rank] == 0, axis=(1, 2)) & (np.diag(covariance)[:n] == 0)  # poles that leave no trace
-    held = np.concatenate([np.tile(still, 2), nothing, np.zeros(through.size, bool)])
-    absent = (order < 0) | ((lost > 0) & (np.diag(covariance) == 0)) | (hidden > 0) | held
-    covariance[absent] = np.nan
-    covariance[:, absent] = np.nan
-    return covariance
-
-
-def _blind(structure: _FittedStructure) -> Mask:
-    """Which numbers of the shared unknowns free residues leave without a trace, if those of the structure do too."""
-    fit, free = structure.fit, structure.free
-    if not fit.point.deficiency:
-        return np.zeros(fit.projection.shared.shape, bool)
-    if len(free.projection.p) == len(fit.p):
-        return free.projection.unidentifiable_unknowns
-    # a pair of the free model may be two real poles under a structure
-    return FreeProjection(free.projection.experiments, fit.p, free.projection.fed).unidentifiable_unknowns
-
-
-@dataclass(frozen=True, eq=False)
-class Estimates(_FittedStructure):
+class Estimates(FittedStructure):
     """A fitted structure with the covariance of its parameters, mode shapes, experiments and likelihood."""
 
     @cached_property
     def covariance(self) -> Array:
         """Covariance of the parameters, in the order of `PEMResult.covariance`."""
-        return _covariance_of(self)
+        return covariance_of(self)
 
     @cached_property
     def experiments(self) -> tuple[FittedChannels, ...]:
@@ -273,7 +111,7 @@ class _FittedLikelihood:
     spare: int
 
     @classmethod
-    def of(cls, structure: _FittedStructure, experiments: Sequence[FittedChannels]) -> _FittedLikelihood:
+    def of(cls, structure: FittedStructure, experiments: Sequence[FittedChannels]) -> _FittedLikelihood:
         """Likelihood of a structure by what it leaves of the experiments."""
         fit, free, unknowns = structure.fit, structure.free, _unknowns(structure)
         counts, variances = _variances(experiments, free)
@@ -298,7 +136,7 @@ class _FittedLikelihood:
         return self.unknowns * float(np.log(self.samples)) - 2 * self.loglik
 
 
-def _unknowns(structure: _FittedStructure) -> int:
+def _unknowns(structure: FittedStructure) -> int:
     """Number of estimated numbers: those of the free fit, less what the structure saves, with delays and variances."""
     fit, free = structure.fit, structure.free
     delays = 0 if fit.delays is None else fit.delays.count
@@ -327,7 +165,7 @@ def _variances(experiments: Sequence[FittedChannels], free: FreeFit) -> tuple[Ar
     return np.ravel(counts), np.maximum(np.ravel(losses), np.finfo(float).tiny * divisor) / divisor
 
 
-def _fitted_channels(structure: _FittedStructure) -> tuple[FittedChannels, ...]:
+def _fitted_channels(structure: FittedStructure) -> tuple[FittedChannels, ...]:
     """Predictions, free motions, offsets and backgrounds of each experiment, from the rows of its outputs."""
     projection = structure.measured
     rows = enumerate(zip(projection.experiments, projection.own, projection.predictions(), strict=True))
@@ -338,7 +176,7 @@ def _fitted_channels(structure: _FittedStructure) -> tuple[FittedChannels, ...]:
     )  # fmt: skip
 
 
-def _of_recording(structure: _FittedStructure, channel: Recording, rows: _Rows) -> FittedChannels:
+def _of_recording(structure: FittedStructure, channel: Recording, rows: _Rows) -> FittedChannels:
     """What the fit says of a recording, from the next of the rows."""
     projection, free = structure.measured, structure.free
     n, m, outputs = len(projection.p), len(channel.input_labels), len(free.scales)
@@ -358,7 +196,7 @@ def _of_recording(structure: _FittedStructure, channel: Recording, rows: _Rows) 
             motion[:, which] = 2 * scale * part.motion_at_start(projection.p, residues, own)[structure.rank]
             offsets[which], drifts[which] = scale * part.offset_at_start(own)
             if part.offset:
-                errors[which] = scale * _roots([spread[-1, -1] for spread, _ in structure.own_spreads(place)])
+                errors[which] = scale * roots([spread[-1, -1] for spread, _ in structure.own_spreads(place)])
             values = part.placed(values)
         if len(which) == outputs:
             predicted = np.multiply(values, scale[:, None], out=values if values.flags.writeable else None)
@@ -370,7 +208,7 @@ def _of_recording(structure: _FittedStructure, channel: Recording, rows: _Rows) 
     )
 
 
-def _of_response(structure: _FittedStructure, channel: Any, rows: _Rows) -> FittedChannels:
+def _of_response(structure: FittedStructure, channel: Any, rows: _Rows) -> FittedChannels:
     """What the fit says of a response matrix, from the next of the rows."""
     free, n = structure.free, len(structure.measured.p)
     p, m, entries = len(channel.output_labels), len(channel.input_labels), len(free.scales)
@@ -393,7 +231,7 @@ def _of_response(structure: _FittedStructure, channel: Any, rows: _Rows) -> Fitt
     return FittedChannels(channel, *nothing, predicted.reshape(p, m, channel.samples), background)
 
 
-def _squeezed(structure: _FittedStructure, experiments: Sequence[FittedChannels]) -> tuple[FittedExperiment, ...]:
+def _squeezed(structure: FittedStructure, experiments: Sequence[FittedChannels]) -> tuple[FittedExperiment, ...]:
     """Experiments of one input and one output without dimensions for these, with their initial states."""
     fit, rank, quantity = structure.fit, structure.rank, structure.request.quantities[0]
     r = None
@@ -418,7 +256,7 @@ def _squeezed(structure: _FittedStructure, experiments: Sequence[FittedChannels]
     return tuple(shown)
 
 
-def _state_errors(structure: _FittedStructure, lossless: bool) -> list[Array]:
+def _state_errors(structure: FittedStructure, lossless: bool) -> list[Array]:
     """Standard errors of the initial state in each experiment of one input and one output; NaN if it began at rest.
 
     Of lossless modes, `q + i p = conj(a) / (c d sqrt(r))` with the motion `a` and the weight `c` of the state in the
@@ -436,13 +274,13 @@ def _state_errors(structure: _FittedStructure, lossless: bool) -> list[Array]:
             state_errors.append(data.unit * _modal_state_errors(structure, rows))
         else:
             ((spread, _),) = structure.own_spreads(rows)
-            each = 2 * scale * _roots(np.diag(spread)[: 2 * n].reshape(2, n).T)[rank]
+            each = 2 * scale * roots(np.diag(spread)[: 2 * n].reshape(2, n).T)[rank]
             state_errors.append(data.unit * each[np.stack([np.ones(n, bool), fit.p[rank].imag != 0], axis=1)])
         rows += int(data.observed.any())
     return state_errors
 
 
-def _modal_state_errors(structure: _FittedStructure, rows: int) -> Array:
+def _modal_state_errors(structure: FittedStructure, rows: int) -> Array:
     """Standard errors of `(q, p)` of lossless modes, in some of the rows."""
     projection, fit, quantity = structure.measured, structure.fit, structure.request.quantities[0]
     scale, ((spread, crossed),) = float(structure.free.scales[0]), structure.own_spreads(rows)
@@ -466,7 +304,7 @@ def _modal_state_errors(structure: _FittedStructure, rows: int) -> Array:
 
 
 def _fitted_shapes(
-    structure: _FittedStructure, covariance: Array, experiments: Sequence[FittedChannels]
+    structure: FittedStructure, covariance: Array, experiments: Sequence[FittedChannels]
 ) -> tuple[ModeShapes, ComplexArray]:
     """Shapes with their standard errors: of residues, or of a free motion."""
     request, poles, residues = structure.request, structure.poles, structure.residues
@@ -487,7 +325,7 @@ def _fitted_shapes(
     return shapes, shape_errors(poles, motions, request.quantities, (), _motion_covariances(structure)[:n])
 
 
-def _motion_covariances(structure: _FittedStructure) -> list[Array]:
+def _motion_covariances(structure: FittedStructure) -> list[Array]:
     """Covariance of `(d, zeta, Re, Im of the free motions)` of each mode, outputs by experiments, of a free motion."""
     projection, fit, free = structure.measured, structure.fit, structure.free
     n, count, runs = len(fit.p), len(free.scales), len(free.channels)

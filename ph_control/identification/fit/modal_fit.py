@@ -30,8 +30,9 @@ from ..regression.time_rows import FreeRecord
 from ..search.channel_rows import is_short
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit, Orders
-from ..structure.choice import Choice, Request, WithDelay, under_hold_and_delays
+from ..structure.choice import Choice, Request
 from ..structure.hypothesis_tests import is_refused
+from ..structure.late_outputs import WithDelay, under_hold_and_delays
 from ..uncertainty.noise_model import NoiseModel
 from ..uncertainty.residual_tests import is_white
 from .judgement import Evidence, message_of

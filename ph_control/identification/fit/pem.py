@@ -34,8 +34,8 @@ from ..._workers import check_workers
 from ...exceptions import IdentifiabilityWarning, StructureError
 from ..data.channels import Channels, ResponseHold
 from ..data.experiments import as_channels
+from ..data.hammer import contacts_alone
 from ..data.quantities import ports_of, quantity_of
-from ..diagnosis.alternatives import contacts_alone
 from ..diagnosis.verdict import WHITE, Outcome
 from ..parameters.model_function import ModelFunction
 from ..search.findings import Cause, Finding
