@@ -213,12 +213,18 @@ def ambient_fit(
         if fit is None or fit.minimum.interrupted:
             break
         outputs = _completed(fit, missing)
-        moved = [((y - old) ** 2)[gaps] for y, old, gaps in zip(outputs, fit.outputs, missing, strict=True)]
-        sizes = [np.broadcast_to(fit.variances[:, None], gaps.shape)[gaps] for gaps in missing]
+        settled = _are_settled(outputs, fit, missing)
         fit = fitted(outputs)
-        if np.sum(np.concatenate(moved)) < _SETTLED**2 * np.sum(np.concatenate(sizes)):
+        if settled:
             break
     return fit
+
+
+def _are_settled(outputs: Sequence[Array], fit: AmbientFit, missing: Sequence[Mask]) -> bool:
+    """Whether values of missing samples differ by far less than the noise from those that a fit was made with."""
+    moved = [((y - old) ** 2)[gaps] for y, old, gaps in zip(outputs, fit.outputs, missing, strict=True)]
+    sizes = [np.broadcast_to(fit.variances[:, None], gaps.shape)[gaps] for gaps in missing]
+    return bool(np.sum(np.concatenate(moved)) < _SETTLED**2 * np.sum(np.concatenate(sizes)))
 
 
 def _missing(y: Array) -> Mask:

@@ -15,6 +15,7 @@ from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.channel_rows import Experiments
 from ..search.fitted_modes import FreeFit, Orders, are_broad
+from ..search.path import FreePath
 from ..search.predictor_states import predicted_delay, ranked_predictors
 from .assumptions import Search
 from .delays import errors_leave_traces, feel_at_once, leaves_traces
@@ -56,14 +57,10 @@ def in_prevailing_noise(channels: Experiments, search: Search, late: Lateness) -
     if sum(channel.samples for channel in channels if isinstance(channel, Recording)) < _SAMPLES:
         return None
     path, orders = search.path(channels, late), search.orders
-    records = [record for record in path.plain.data if isinstance(record, FreeRecord)]
-    outputs = len(path.counts)
-    foretold = likely_poles(records, outputs, orders)
+    foretold = _likelier_than_in_white_noise(path, channels, search, late)
     if foretold is None:
         return None
     p, bic = foretold
-    if search.automatic and may_reach(search.in_white_noise.path(channels, late), search.begin, search.most, bic):
-        return None
     fit = search.from_poles(path, channels, p, bic)
     if fit is None:
         return None
@@ -87,6 +84,18 @@ def in_prevailing_noise(channels: Experiments, search: Search, late: Lateness) -
         return None
     # a predictor takes two modes for one, beside which forces stand for what it lacks
     return Begun(fit, forced, not errors_leave_traces(forced))
+
+
+def _likelier_than_in_white_noise(
+    path: FreePath, channels: Experiments, search: Search, late: Lateness
+) -> tuple[ComplexArray, float] | None:  # fmt: skip
+    """Poles and BIC of the likeliest predictor; None where modes that join in white noise may be as likely."""
+    records = [record for record in path.plain.data if isinstance(record, FreeRecord)]
+    foretold = likely_poles(records, len(path.counts), search.orders)
+    if foretold is None or not search.automatic:
+        return foretold
+    white = search.in_white_noise.path(channels, late)
+    return None if may_reach(white, search.begin, search.most, foretold[1]) else foretold
 
 
 def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) -> tuple[ComplexArray, float] | None:
