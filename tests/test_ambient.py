@@ -414,3 +414,16 @@ def test_results_of_ambient_excitation_have_what_others_have(fit, record, tmp_pa
     assert fit.residuals.shape == record.shape and fit.whiteness > 1e-3
     with pytest.raises(phc.StructureError, match="forces that nobody measured"):
         fit.bootstrap(10)
+
+
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_a_decay_of_many_modes_in_little_noise_is_no_ambient_motion(outputs):
+    w, zeta = np.array([0.037, 0.12, 0.22, 0.28, 0.33, 0.78]), np.array([0.003, 0.002, 0.002, 0.003, 0.028, 0.007])
+    rng = np.random.default_rng(outputs)
+    c = rng.uniform(0.5, 1.5, (outputs, 6)) * np.exp(1j * rng.uniform(0.0, 2 * np.pi, (outputs, 6)))
+    y = 2 * (c @ np.exp(np.outer(w * (-zeta + 1j * np.sqrt(1 - zeta**2)), np.arange(2000)))).real
+    y += 0.004 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    fit = phc.pem((None, y), dt=1.0)
+    assert fit.order == 6 and not {"AMBIENT", "FORCES"} & {finding.cause.name for finding in fit.findings}
+    assert fit.outcome.name == "CONSISTENT"
+    assert np.all(np.abs(fit.natural_frequencies - w) < 4.5 * fit.stderr["natural_frequencies"])

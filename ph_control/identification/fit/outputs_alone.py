@@ -28,14 +28,16 @@ from ..innovations.forces import FittedNoise
 from ..innovations.noise_sections import NoiseSections
 from ..regression.prediction import FittedChannels, FittedExperiment, joint_percent, natural_jacobian, shares_left
 from ..regression.tuning import TUNING
+from ..search.channel_rows import RowOptions
 from ..search.findings import Cause, Finding, sentences_of
+from ..search.path import FreePath
 from ..structure.choice import Request
 from ..structure.hypothesis_tests import LEVEL
 from ..uncertainty.residual_tests import ljung_box
 from .judgement import DOUBTS, at_rest, doubt_about, rejections, saturated
 from .options import Options
 from .pem_result import PEMResult
-from .result import OrderRow
+from .result import OrderRow, cut_short
 
 _FEW_MODES = 4  # that are tried for a motion that may be no decay
 _DECAYED = 4.0  # times the squares of the last quarter of a record in its first
@@ -94,9 +96,21 @@ def of_outputs_alone(
     if result.whiteness >= WHITE or not result.success:
         return result
     forced = _of_forces(channels, request, options, order, result, faded > _FADED)
-    if forced is not None:
-        return forced
-    return result if complete else of_modes()
+    if complete:
+        return forced or result
+    try:
+        if forced is not None and not _may_decay(channels, forced, options):
+            return forced
+    except KeyboardInterrupt:
+        return cut_short(forced)
+    result = of_modes()
+    return result if forced is None or _bic_of(result) < forced.bic else forced
+
+
+def _may_decay(channels: Sequence[Recording], forced: PEMResult, options: Options) -> bool:
+    """Whether a motion that decays from the poles of one that forces keep up is likelier."""
+    path = FreePath.of(channels, RowOptions(None, "zoh", int(bool(options.offset)), options.moving))
+    return path.bic(path.reweighted(path.model(forced.poles))) < forced.bic
 
 
 def _of_forces(
