@@ -268,13 +268,13 @@ def levels_of(findings: Sequence[Finding], channels: Sequence[Any]) -> list[Arra
     levels: list[Array | None] = []
     for e, channel in enumerate(channels):
         level = np.ones((len(getattr(channel, "output_labels", ())), channel.samples))
-        told_of = [f for f in findings if f.cause is Cause.CHANGING_NOISE and f.experiment == e]
-        for finding in told_of:
+        changes = [f for f in findings if f.cause is Cause.CHANGING_NOISE and f.experiment == e]
+        for finding in changes:
             starts, sizes = np.reshape(finding.values, (-1, 2)).T
             each = sizes[np.searchsorted(starts, np.arange(channel.samples), side="right") - 1]
             which = channel.output_labels.index(finding.output) if finding.output else slice(None)
             level[which] = each
-        levels.append(level if told_of else None)
+        levels.append(level if changes else None)
     return levels
 
 

@@ -49,7 +49,8 @@ def in_prevailing_noise(channels: Experiments, search: Search, late: Lateness) -
     Returns
     -------
     Begun or None
-        None where no such noise prevails, or records are short.  Fits that leave traces do not stand.
+        None where no such noise prevails, records are short, or modes in white noise may be as likely.  Fits that leave
+        traces do not stand.
     """
     given = search.assumptions
     if given.white or given.delay is not None:
