@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from ._types import RealOrComplex
 
 _DIGITS = 8  # of a number in a table before it takes an exponent
 _MOST_DIGITS = 12  # where its standard error asks for them
@@ -19,7 +20,7 @@ _TERMS = 5  # of a formula
 _TEXT = '<div class="tex2jax_ignore mathjax_ignore">{}</div>'
 
 
-def literal(array: NDArray[Any]) -> str:
+def literal(array: RealOrComplex) -> str:
     """Text that evaluates to the same array, bit for bit; beyond 1000 entries the corners and the shape, as numpy does.
 
     Such a text does not evaluate, which is better than to a smaller array.
@@ -32,7 +33,7 @@ def literal(array: NDArray[Any]) -> str:
     return text if array.size <= 1000 or "shape=" in text else f"{text[:-1]}, shape={array.shape})"
 
 
-def listed_or_literal(vector: NDArray[Any]) -> str:
+def listed_or_literal(vector: RealOrComplex) -> str:
     """The same for a call that takes lists: shorter where every entry is there."""
     if vector.size > 1000 or not vector.size:
         return literal(vector)
@@ -53,7 +54,7 @@ def latex_number(value: float) -> str:
     return rf"{digits}\cdot 10^{{{int(power)}}}" if power else digits
 
 
-def latex_matrix(array: NDArray[Any]) -> str:
+def latex_matrix(array: RealOrComplex) -> str:
     """Matrix in brackets."""
     rows = (" & ".join(latex_number(value) for value in row) for row in array)
     return r"\begin{bmatrix}" + r" \\ ".join(rows) + r"\end{bmatrix}"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
-from .._types import Array, ArrayLike, Indices, NDArray
+from .._types import Array, ArrayLike, Indices, RealOrComplex
 from ..exceptions import StructureError
 
 
@@ -206,13 +206,13 @@ def resonances(d: Array, rtol: float | None = None) -> list[Indices]:
     return np.split(order, np.flatnonzero(gaps > close * d[order][1:]) + 1) if len(d) else []
 
 
-def power_of_two(values: NDArray[Any]) -> float:
+def power_of_two(values: RealOrComplex) -> float:
     """Size of the largest of some numbers, as a power of two; 1 if all are 0."""
     largest = float(np.abs(values).max(initial=0.0))
     return float(np.ldexp(0.5, np.frexp(largest)[1])) if 0 < largest < np.inf else 1.0
 
 
-def norm_of(M: NDArray[Any], axis: int | None = None) -> Any:
+def norm_of(M: RealOrComplex, axis: int | None = None) -> Any:
     """Euclidean norm, also where squares leave the range of doubles."""
     unit = np.abs(M).max(axis=axis, initial=0.0, keepdims=True)
     unit = np.where((unit > 0) & np.isfinite(unit), unit, 1.0)

@@ -8,12 +8,11 @@ closer than their errors form a group, of which only the subspace is determined,
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from .. import _checks
-from .._types import Array, ComplexArray, Indices, Mask, NDArray
+from .._types import Array, ComplexArray, Indices, Mask, NDArray, Numbers, RealOrComplex
 from ..numerics.graphs import components, coupled_pairs
 from .modal_form import ModalForm
 
@@ -245,7 +244,7 @@ def _group(modes: ModalForm, members: Indices, tolerance: float) -> Group:
     return Group(members, rotation, d, nu, float(np.linalg.norm(sigma)), float(np.linalg.norm(sigma[rank:])))
 
 
-def _reached(rows: NDArray[Any], tolerance: float) -> tuple[NDArray[Any], Array, NDArray[Any], int]:
+def _reached(rows: Numbers, tolerance: float) -> tuple[Numbers, Array, Numbers, int]:
     """Singular value decomposition of input weights, and how many of the values stand out."""
     W, sigma, Vh = np.linalg.svd(rows)
     rounding = max(rows.shape) * _checks.EPS * float(sigma.max(initial=0.0))
@@ -316,7 +315,7 @@ def _norms(label: Labels, values: Array) -> Array:
     return peak * np.sqrt(np.bincount(label, (values / peak) ** 2))
 
 
-def _support(rows: NDArray[Any]) -> Indices:
+def _support(rows: RealOrComplex) -> Indices:
     """For each row a state that it involves."""
     return np.abs(rows).argmax(axis=1) if len(rows) else np.zeros(0, np.intp)
 

@@ -8,7 +8,7 @@ of poles with residues and a bound of the error of each; the decision is then th
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import control as ct
 import numpy as np
@@ -16,7 +16,7 @@ import scipy.signal
 
 from .. import _checks
 from .._options import Discretisation, Interpolation
-from .._types import Array, ComplexArray, Mask, NDArray
+from .._types import Array, ComplexArray, Mask, RealOrComplex
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics import definiteness as _definite
 from ..numerics import pole_residue
@@ -273,7 +273,7 @@ def _complex(value: complex) -> str:
     return f"{value.real:.6g}{value.imag:+.6g}i"
 
 
-def _show(M: NDArray[Any]) -> str:
+def _show(M: RealOrComplex) -> str:
     if M.size == 1:
         value = complex(M.ravel()[0])
         return _complex(value) if value.imag else f"{value.real:.6g}"
@@ -312,6 +312,6 @@ def modes_of_energy(energy: tuple[Array, ComplexArray, Array], B: Array) -> Moda
     return modes
 
 
-def _stands_out(rows: NDArray[Any], B: Array) -> Mask:
+def _stands_out(rows: RealOrComplex, B: Array) -> Mask:
     """Which entries of `rows @ B` are more than its rounding."""
     return np.abs(rows @ B) > len(B) * _checks.EPS * (np.abs(rows) @ np.abs(B))

@@ -22,7 +22,7 @@ from slycot import ab08nd, mb03rd
 
 from .. import _checks
 from .._display import html_table, literal
-from .._types import Array, ArrayLike, ComplexArray, NDArray
+from .._types import Array, ArrayLike, ComplexArray, RealOrComplex
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics.double_double import Pair, add, exactly, product
 from ..numerics.invariant_subspaces import equilibrated
@@ -30,7 +30,7 @@ from ..numerics.pole_residue import SAFETY, PoleResidueForm
 from .foster_test import decide
 from .modal_form import Cluster, ModalForm, from_frequencies
 
-Mode = tuple[complex, NDArray[Any], NDArray[Any]]  # pole, shape and participation
+Mode = tuple[complex, RealOrComplex, RealOrComplex]  # pole, shape and participation
 
 _CONDITION = 100.0  # of the transformations that part poles: what they may cost of the digits
 _BLOCK = 1 << 14  # terms of responses that are computed together: what a cache holds

@@ -32,7 +32,7 @@ from scipy.linalg import (
 from scipy.optimize import brentq
 
 from .._checks import EPS
-from .._types import Array, ComplexArray, NDArray
+from .._types import Array, ComplexArray, Numbers
 from ..exceptions import StructureError
 from .positive_real import Matrices, Passivity, lowest_places, minimum
 
@@ -50,7 +50,7 @@ _REFINED = 3  # steps of Newton's method
 
 
 KINDS = ("available", "required", "mean")
-AnyMatrices = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]  # real, or complex
+AnyMatrices = tuple[Numbers, Numbers, Numbers, Numbers]
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ def _stationary(
     return middle, value(middle), float(tested.modes.magnitude(np.array([1j * middle]))[0])
 
 
-def _seen_from(system: Matrices, frequency: float) -> AnyMatrices:
+def _seen_from(system: Matrices, frequency: float) -> AnyMatrices[Any]:
     """The system in `1 / (s - j frequency)`, with a state matrix of norm 1: the same storages."""
     A, B, C, D = (np.asarray(M, complex) for M in system)
     if np.isfinite(frequency):
@@ -265,7 +265,7 @@ class KnownDirections:
         return KnownDirections(np.hstack([self.V, V]), np.hstack([self.Y, Y]))
 
 
-def _block(known: KnownDirections, system: AnyMatrices) -> tuple[NDArray[Any], Array]:
+def _block(known: KnownDirections, system: AnyMatrices[Numbers]) -> tuple[Numbers, Array]:
     """`W` on the known directions and all inputs, and the sizes of what is summed in it."""
     A, B, C, D = system
     V, Y = known.V, known.Y
@@ -278,7 +278,7 @@ def _block(known: KnownDirections, system: AnyMatrices) -> tuple[NDArray[Any], A
     return K, sizes
 
 
-def _null_space(K: NDArray[Any], sizes: Array, null: float) -> tuple[NDArray[Any], NDArray[Any], Array]:
+def _null_space(K: Numbers, sizes: Array, null: float) -> tuple[Numbers, Numbers, Array]:
     """Vectors that `K >= 0` takes to 0, the others, and their eigenvalues."""
     k, W = eigh(K)
     zero = k <= null * (sizes @ np.abs(W) ** 2)

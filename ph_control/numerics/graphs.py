@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from .._types import Mask, NDArray
+from .._types import Mask, NDArray, RealOrComplex
 
 Labels = NDArray[np.int32]
 
@@ -30,7 +28,7 @@ def components(near: Mask) -> tuple[int, Labels]:
     return int(count), np.asarray(label, np.int32)
 
 
-def coupled_pairs(Q: NDArray[Any]) -> tuple[int, Labels]:
+def coupled_pairs(Q: RealOrComplex) -> tuple[int, Labels]:
     """`components` of the pairs `(q_l, p_l)` that entries of a symmetric `Q`, shape (2n, 2n), couple."""
     n = len(Q) // 2
     if n:

@@ -20,7 +20,7 @@ from scipy.special import ndtri
 from .. import _checks
 from .._display import p_value
 from .._options import AxisScale
-from .._types import Array, ComplexArray, Indices, Mask
+from .._types import Array, ComplexArray, Indices, Mask, RealOrComplex
 from .._units import unit_for
 from ..exceptions import StructureError
 from ..numerics.modal_assurance import stable_poles
@@ -599,7 +599,7 @@ def _draw_behind(axis: Axes, behind: list[tuple[Array, Array, str]], unit: float
 # --- residuals of several channels, tests of hypotheses --------------------------------------------------------------
 
 
-def channel_correlations(residuals: NDArray[Any], labels: Sequence[str]) -> list[CorrelationPanel]:
+def channel_correlations(residuals: RealOrComplex, labels: Sequence[str]) -> list[CorrelationPanel]:
     """Autocorrelation of each row of residuals (c, T), NaN where missing, and the band of white noise.
 
     Of complex ones it is the real part, from point to point.

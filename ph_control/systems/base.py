@@ -11,7 +11,7 @@ from control.iosys import InputOutputSystem
 
 from .. import _checks
 from .._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal, modes_table
-from .._types import Array, ArrayLike, ComplexArray, NDArray
+from .._types import Array, ArrayLike, ComplexArray, RealOrComplex
 from .._units import checked_unit, hertz_size
 from ..exceptions import NotLosslessError, StructureError, printable
 from ..modal.modal_form import ModalForm, imaginary
@@ -354,7 +354,7 @@ class LosslessSystem(ct.StateSpace):
         labels: list[str] = getattr(self, f"{kind[:-1]}_labels")
         return None if labels == [f"{letter}[{k}]" for k in range(count)] else labels
 
-    def _repr_of(self, *arrays: NDArray[Any]) -> str:
+    def _repr_of(self, *arrays: RealOrComplex) -> str:
         """A call of the factory that evaluates to the same system."""
         text = f"{self._factory.partition('(')[0]}(\n" + ",\n".join(literal(array) for array in arrays)
         labels = self._label_repr()

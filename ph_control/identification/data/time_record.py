@@ -19,7 +19,7 @@ from control import TimeResponseData
 from ... import _checks
 from ..._display import counted
 from ..._frozen import Frozen
-from ..._types import Array, Mask, NDArray
+from ..._types import Array, Mask, RealOrComplex
 from ..._units import with_unit
 from ...analysis.time_grid import printed_step
 from ...exceptions import IdentificationError, StructureError
@@ -72,7 +72,7 @@ class CheckedData(Frozen):
         return vars(self).get("_clock", vars(self).get("time"))
 
     @property
-    def measured(self) -> NDArray[Any]:
+    def measured(self) -> RealOrComplex:
         """What was measured, samples along the last axis; NaN where it is missing."""
         raise NotImplementedError
 
@@ -238,7 +238,7 @@ def stays_on_disk(value: Any) -> bool:
     return bool(value.dtype == np.float64 or (value.dtype == np.float32 and value.size > LONG))
 
 
-def _numbers(name: str, value: Any) -> NDArray[Any]:
+def _numbers(name: str, value: Any) -> RealOrComplex:
     """Real numbers of any type, NaN where one is absent; not copied if that can be avoided."""
     if isinstance(value, np.ma.MaskedArray) and value.dtype.kind in "biuf":
         return np.where(np.ma.getmaskarray(value), np.nan, value.data)
@@ -253,7 +253,7 @@ def _numbers(name: str, value: Any) -> NDArray[Any]:
     return array if array.dtype.kind in "biuf" else _checks.real_array(name, array)
 
 
-def _unboxed(array: NDArray[Any], value: Any) -> NDArray[Any]:
+def _unboxed(array: RealOrComplex, value: Any) -> RealOrComplex:
     """Doubles of an array of Python numbers and marks of the missing; anything else is left for the check to refuse."""
     with suppress(TypeError, ValueError, OverflowError):
         if hasattr(value, "to_numpy"):
@@ -271,20 +271,20 @@ class Signal(Protocol):
 
     def __len__(self) -> int: ...
 
-    def __getitem__(self, part: slice, /) -> NDArray[Any]: ...
+    def __getitem__(self, part: slice, /) -> Array: ...
 
 
 @dataclass(frozen=True)
 class Difference:
     """Residual of a signal (T,), measured less predicted, computed for the slice that is read."""
 
-    measured: NDArray[Any]
-    predicted: NDArray[Any]
+    measured: Array
+    predicted: Array
 
     def __len__(self) -> int:
         return len(self.measured)
 
-    def __getitem__(self, part: slice) -> NDArray[Any]:
+    def __getitem__(self, part: slice) -> Array:
         return self.measured[part] - self.predicted[part]
 
 
@@ -326,7 +326,7 @@ def searched_part(record: CheckedData, from_rest: bool = False, numbers: int = L
     return slice(first, first + size)
 
 
-def _motion(y: NDArray[Any]) -> Array:
+def _motion(y: RealOrComplex) -> Array:
     """Sum of `|y - mean|` of each output; not of squares, which a single outlier would dominate."""
     seen = ~np.isnan(y)
     values = np.where(seen, y, 0.0).astype(float)

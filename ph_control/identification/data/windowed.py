@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..._types import Array, ComplexArray, Indices, NDArray
+from ..._types import Array, ComplexArray, Indices, RealOrComplex
 from ...analysis.spectral_window import SpectralWindow
 from ...modal.discretization import Hold
 from .frequency_record import BandedFactor, among
@@ -184,7 +184,7 @@ def error_bands(
         H_later, H_here = H[..., later], H[..., band].conj()
         for place, shift in enumerate(shifts):
 
-            def transform(values: NDArray[Any], overlaps: ComplexArray = overlaps, later: Indices = later) -> Any:
+            def transform(values: RealOrComplex, overlaps: ComplexArray = overlaps, later: Indices = later) -> Any:
                 folded = np.zeros((*values.shape[:-1], N), complex)
                 products = values * overlaps
                 folded[..., 1:], folded[..., 0] = products[..., : N - 1] + products[..., N:], products[..., N - 1]

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _checks
 from ..._options import Discretisation, Interpolation
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, RealOrComplex
 from ...modal.discretization import Hold
 from ..data.channels import Recording
 from ..data.frequency_record import InFrequency
@@ -25,8 +24,8 @@ from ..regression.time_rows import FreeRecord
 class Directions:
     """Derivatives of an output by what was fitted, one column each: to all experiments, and to this one alone."""
 
-    shared: NDArray[Any]
-    local: NDArray[Any]
+    shared: RealOrComplex
+    local: RealOrComplex
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm, t
 
-from ..._types import Array, Indices
+from ..._types import Array, Indices, RealOrComplex
 from ..data.channels import Recording
 from ..data.time_record import LONG, Signal, blocks, is_long
 from ..regression.time_rows import FreeRecord
@@ -425,7 +424,7 @@ def stuck(y: Array) -> tuple[int, int] | None:
     return int(borders[longest]), int(lengths[longest])
 
 
-def _parts(residuals: NDArray[Any]) -> Array:
+def _parts(residuals: RealOrComplex) -> Array:
     if np.iscomplexobj(residuals):
         return np.stack([residuals.real, residuals.imag], axis=1)
     return np.asarray(residuals, float)[:, None]

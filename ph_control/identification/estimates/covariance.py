@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
-from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask, NDArray
+from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask, RealOrComplex
 from ..diagnosis.verdict import HypothesisTest
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.prediction import natural_jacobian
@@ -127,7 +126,7 @@ def covariance_of(structure: FittedStructure) -> Array:
     inputs = 0 if not width else projection.inputs
     entries = fit.residues.shape[1:]
 
-    def split(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    def split(values: RealOrComplex) -> tuple[RealOrComplex, RealOrComplex, RealOrComplex]:
         """Real and imaginary parts (n, p, m) and feedthrough (p, m) of numbers of the shared unknowns."""
         each = values.reshape(inputs, -1 if inputs else 2 * n, count)
         real, imag = (np.moveaxis(each[:, k * n : (k + 1) * n], 0, 2).reshape(n, *entries) for k in (0, 1))

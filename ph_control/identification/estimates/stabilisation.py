@@ -11,7 +11,7 @@ import numpy as np
 
 from ..._display import Report, aligned
 from ..._frozen import Frozen
-from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..._types import Array, ComplexArray, Indices, Mask, NDArray, RealOrComplex
 from ..._units import hertz_size
 from ...numerics.modal_assurance import stable_poles
 from ...plotting.validation_plot import stabilisation_plot
@@ -94,7 +94,7 @@ class Stabilisation(Report, Frozen):
         return tuple(stability == most for stability in self.stability)
 
     @property
-    def table(self) -> NDArray[Any]:
+    def table(self) -> RealOrComplex:
         """All poles one after the other, as a structured array: order, hertz, damping_ratio, mac, stability, stable."""
         of_orders: list[Any] = [self.hertz, self.damping_ratios, self.mac, self.stability, self.stable]
         columns = [np.repeat(self.orders, self.orders), *(np.concatenate(parts) for parts in of_orders)]

@@ -9,12 +9,11 @@ them the information is linear in the power of each line of the input.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from ... import _checks
-from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..._types import Array, ComplexArray, Indices, Mask, RealOrComplex
 from ...exceptions import StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording
@@ -141,7 +140,7 @@ def whitened(J: ComplexArray, noise: NoiseModel, omega: Array, outputs: Indices)
     return np.asarray(np.linalg.solve(_factor(density), J))
 
 
-def _factor(covariance: NDArray[Any]) -> NDArray[Any]:
+def _factor(covariance: RealOrComplex) -> RealOrComplex:
     """Triangular root of covariances of noise."""
     try:
         return np.linalg.cholesky(covariance)

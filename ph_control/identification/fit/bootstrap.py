@@ -11,7 +11,7 @@ import numpy as np
 
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._threads import on_one_thread
-from ..._types import Array, ComplexArray, Indices, Mask, NDArray, RandomSource
+from ..._types import Array, ComplexArray, Indices, Mask, RandomSource, RealOrComplex
 from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
 from ..data.channels import Recording
@@ -139,7 +139,7 @@ class Bootstrap(Frozen):
         """Real poles, shape (k, r)."""
         return np.asarray(self.poles[:, self._mode_count :].real)
 
-    def _statistic(self, reduce: Callable[[Array], Array]) -> Mapping[str, NDArray[Any]]:
+    def _statistic(self, reduce: Callable[[Array], Array]) -> Mapping[str, RealOrComplex]:
         """Statistic of each parameter by its name, along the resamples; of complex ones of both parts."""
         statistics = {}
         optional = [name for name in ("r", "initial_state") if getattr(self, name).size]
@@ -149,12 +149,12 @@ class Bootstrap(Frozen):
         return ReadOnlyMapping(statistics)
 
     @cached_property
-    def stderr(self) -> Mapping[str, NDArray[Any]]:
+    def stderr(self) -> Mapping[str, RealOrComplex]:
         """Standard deviation over the resamples, under keys of the result's `stderr`; NaN for fewer than two."""
         few = len(self) < 2
         return self._statistic(lambda draws: np.full(draws.shape[1:], np.nan) if few else np.std(draws, axis=0, ddof=1))
 
-    def interval(self, level: float = 0.95) -> Mapping[str, NDArray[Any]]:
+    def interval(self, level: float = 0.95) -> Mapping[str, RealOrComplex]:
         """Percentile intervals of the parameters.
 
         Parameters
@@ -283,7 +283,7 @@ class Resampled:
         return Bootstrap(poles, residues, through, r, states, offsets, failed, self.background, *delays)
 
 
-def _arrays_of(result: PEMResult) -> tuple[NDArray[Any], ...]:
+def _arrays_of(result: PEMResult) -> tuple[RealOrComplex, ...]:
     """What a bootstrap has of each estimate."""
     r = result.r if result._has_weights else np.zeros(0)
     states = result.initial_states if result._moves_as_state else (np.zeros(0),)
@@ -320,8 +320,8 @@ class _Refit:
     layout: ChannelLayout
     region: PoleRegion
     structure: str
-    predictions: list[NDArray[Any]]
-    noise: list[NDArray[Any]]
+    predictions: list[RealOrComplex]
+    noise: list[RealOrComplex]
     places: list[int]  # of the experiments among those of the result
     experiment_count: int
 
@@ -429,19 +429,19 @@ def _with_background(rows: Sequence[FreeResponse], result: PEMResult) -> list[Fr
     return responses
 
 
-def _measured_outputs(rows: Any) -> NDArray[Any]:
+def _measured_outputs(rows: Any) -> RealOrComplex:
     """Outputs (q, T) in the scale of the rows."""
     return np.asarray(rows.measured if isinstance(rows, FreeRecord) else rows.response)
 
 
-def _unscaled_residuals(rows: Any, drawn: NDArray[Any]) -> NDArray[Any]:
+def _unscaled_residuals(rows: Any, drawn: RealOrComplex) -> RealOrComplex:
     """Residuals as large as they are in the rows."""
     if isinstance(rows, FreeRecord):
         return drawn if rows.level is None else drawn * rows.level[rows.observed]
     return np.asarray(rows.out_of_rows(drawn))
 
 
-def _scaled_residuals(rows: Any, residuals: NDArray[Any]) -> NDArray[Any]:
+def _scaled_residuals(rows: Any, residuals: RealOrComplex) -> RealOrComplex:
     """Residuals made alike, of all observed values."""
     if isinstance(rows, FreeRecord):
         return residuals if rows.level is None else residuals / rows.level[rows.observed]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..._display import counted, p_value
-from ..._types import Array, NDArray
+from ..._types import Array, NDArray, RealOrComplex
 from ..._units import DERIVATIVES
 from ...modal.discretization import Hold
 from ..data.channels import Recording
@@ -318,7 +318,7 @@ def _whiteness(estimates: Estimates) -> float:
     model = estimates.model
     directions = [directions_of(experiment, model) for experiment in single]
 
-    def in_rows(columns: Sequence[NDArray[Any]]) -> list[Array]:
+    def in_rows(columns: Sequence[RealOrComplex]) -> list[Array]:
         triples = zip(single, channels, columns, strict=True)
         return [part for experiment, *values in triples for part in _in_rows(experiment.record, *values)]
 

@@ -15,7 +15,7 @@ from ... import _checks
 from ..._display import counted
 from ..._frozen import ReadOnlyMapping
 from ..._options import PREDICTED_STATES, Discretisation, Interpolation, PredictedState
-from ..._types import Array, ArrayLike, ComplexArray, NDArray, RandomSource
+from ..._types import Array, ArrayLike, ComplexArray, RandomSource, RealOrComplex
 from ..._units import DERIVATIVES, common_unit, hertz_size, with_unit
 from ...analysis.spectral_window import SpectralWindow
 from ...exceptions import ConditioningWarning, NoSuchQuantityError, NotPassiveError, StructureError
@@ -200,7 +200,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
     blind: bool = False
     noise: NoiseModel | None = None
     fitted_parameters: FittedParameters | None = None
-    stderr: Mapping[str, NDArray[Any]] = field(init=False)
+    stderr: Mapping[str, RealOrComplex] = field(init=False)
 
     def __post_init__(self) -> None:
         outputs, inputs = len(self.output_labels), len(self.input_labels)

@@ -20,7 +20,7 @@ from ..._display import (
     percent,
     to_its_error,
 )
-from ..._types import Array
+from ..._types import Array, RealOrComplex
 from ..._units import step_of
 from ...exceptions import printable, shortened
 from ..data.quantities import measured_by
@@ -124,7 +124,7 @@ def mode_table(model: PEMResult) -> list[list[str]]:
     return [head, *([str(k + 1), *_with_errors(columns, k), last[k]] for k in range(n))]
 
 
-def _with_errors(columns: Sequence[tuple[Array, Array]], k: int) -> list[str]:
+def _with_errors(columns: Sequence[tuple[Array, RealOrComplex]], k: int) -> list[str]:
     """Cells of the row `k` of columns of values and their errors."""
     pairs = [(values[k], errors[k]) for values, errors in columns]
     return [text for value, error in pairs for text in (to_its_error(value, error), to_its_error(error, error))]

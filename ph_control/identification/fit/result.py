@@ -14,7 +14,7 @@ from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
 from ..._threads import on_one_thread
-from ..._types import Array, ComplexArray, NDArray
+from ..._types import Array, ComplexArray, RealOrComplex
 from ..._units import common_unit, hertz_size, parted, unit_for
 from ...exceptions import StructureError
 from ...io.codecs import save
@@ -70,7 +70,7 @@ class FittedModes(Report, Frozen):
         residues: ComplexArray
         experiments: tuple[FittedChannels, ...] | tuple[FittedExperiment, ...]
         outcome: Outcome
-        stderr: Mapping[str, NDArray[Any]]
+        stderr: Mapping[str, RealOrComplex]
 
         @property
         def _spare(self) -> int: ...
@@ -211,12 +211,12 @@ class FittedModes(Report, Frozen):
         return np.full(size, state) if not state.ndim else state
 
     @property
-    def predicted(self) -> NDArray[Any]:
+    def predicted(self) -> RealOrComplex:
         """Predicted outputs, all experiments one after the other along the last axis."""
         return _checks.readonly(np.concatenate([experiment.predicted for experiment in self.experiments], axis=-1))
 
     @property
-    def residuals(self) -> NDArray[Any]:
+    def residuals(self) -> RealOrComplex:
         """What the prediction leaves, all experiments one after the other; NaN where the output is missing."""
         return _checks.readonly(np.concatenate([experiment.residuals for experiment in self.experiments], axis=-1))
 
@@ -287,7 +287,7 @@ class FittedModes(Report, Frozen):
             damping_tolerance=damping_tolerance, least_mac=least_mac,
         )  # fmt: skip
 
-    def confidence_interval(self, level: float = 0.95) -> Mapping[str, NDArray[Any]]:
+    def confidence_interval(self, level: float = 0.95) -> Mapping[str, RealOrComplex]:
         """Confidence intervals of the parameters.
 
         Parameters

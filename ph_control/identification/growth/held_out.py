@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..._types import Array, ComplexArray, Mask, NDArray
+from ..._types import Array, ComplexArray, Mask, RealOrComplex
 from ...exceptions import IdentificationError
 from ..data.channels import Recording, ResponseMatrix
 from ..regression.free import FreeProjection
@@ -100,7 +100,7 @@ def _errors(path: FreePath, p: ComplexArray, channels: Experiments, ahead: Seque
     return losses, counts
 
 
-def _foretold(projection: FreeProjection) -> list[tuple[Any, NDArray[Any]]]:
+def _foretold(projection: FreeProjection) -> list[tuple[Any, RealOrComplex]]:
     """Outputs of each of the rows, and what they are at all samples, also where nothing was measured."""
     n, foretold, predictions = len(projection.p), [], list[Any](projection.predictions())
     for rows, own, values in zip(projection.experiments, projection.own, predictions, strict=True):

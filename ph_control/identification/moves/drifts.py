@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from ..._types import Mask, NDArray
+from ..._types import Mask, RealOrComplex
 from ..growth.ending import evidence_of_constants, order_of_noise
 from ..regression.elimination import orthogonal, without
 from ..regression.time_rows import FreeRecord
@@ -84,7 +83,7 @@ def _gain_of_drift(fit: FreeFit) -> float:
     return gain
 
 
-def _leans(rows: FreeRecord, predicted: NDArray[Any]) -> bool:
+def _leans(rows: FreeRecord, predicted: RealOrComplex) -> bool:
     """Return whether a line explains some of what is left of outputs."""
     t = np.flatnonzero(rows.observed) - np.mean(np.flatnonzero(rows.observed))
     residuals = (rows.measured - predicted)[:, rows.observed]

@@ -15,12 +15,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
 
-from ..._types import Array, ComplexArray, NDArray
+from ..._types import Array, ComplexArray, RealOrComplex
 from ..._units import DERIVATIVES
 from ...modal.discretization import Hold, Multipliers
 from ...modal.modal_form import imaginary
@@ -101,7 +100,7 @@ class ModalColumns:
     """
 
     amplitudes: tuple[ComplexArray, ...]
-    within: NDArray[Any] | None = None
+    within: RealOrComplex | None = None
     pair: bool = False
     input: int = 0
 
@@ -162,11 +161,11 @@ class Kernel:
         """Number of modes."""
         return len(self.weight)
 
-    def within(self, pair: bool = False) -> NDArray[Any]:
+    def within(self, pair: bool = False) -> RealOrComplex:
         """Response to the samples of a group at its instants, shape (n, SHORT, SHORT); complex for a pair."""
         return _response(self.modes.b1 + self._through, self._impulse, self.modes.ahead, pair)
 
-    def within_slope(self, pair: bool = False) -> NDArray[Any]:
+    def within_slope(self, pair: bool = False) -> RealOrComplex:
         """Its derivative by the pole, or by what the poles move along."""
         return _response(self.modes.b1_slope, self._impulse_slope, self.modes.ahead_slope, pair)
 
@@ -242,7 +241,7 @@ class Kernel:
                 here += np.matmul(weights.transpose(1, 2, 0), motion)
 
 
-def _response(now: ComplexArray, later: ComplexArray, ahead: ComplexArray | None, pair: bool) -> NDArray[Any]:
+def _response(now: ComplexArray, later: ComplexArray, ahead: ComplexArray | None, pair: bool) -> RealOrComplex:
     """Toeplitz matrices (n, SHORT or one more, SHORT): `now` on the diagonal, `later` (n, SHORT) above it.
 
     With what is seen `ahead` of a sample, which is below the diagonal, there is one more row.

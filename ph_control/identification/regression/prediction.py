@@ -14,7 +14,7 @@ import numpy as np
 from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
-from ..._types import Array, ComplexArray, Indices, NDArray
+from ..._types import Array, ComplexArray, Indices, NDArray, RealOrComplex
 from ..._units import DERIVATIVES
 from ...exceptions import StructureError
 from ...modal.discretization import Hold
@@ -28,17 +28,17 @@ from .time_rows import WHOLE, FreeRecord
 
 _POWERS = range(-2, 3)  # of s, in a background
 Experiment = TypeVar("Experiment")
-Pairs = Sequence[tuple[Any, NDArray[Any]]]  # records, and what a model predicts of each
+Pairs = Sequence[tuple[Any, RealOrComplex]]  # records, and what a model predicts of each
 
 
 class FittedData(Report, Frozen):
     """What a fit says of one experiment: its record, and the outputs that it predicts."""
 
     record: Any
-    predicted: NDArray[Any]
+    predicted: RealOrComplex
 
     @property
-    def measured(self) -> NDArray[Any]:
+    def measured(self) -> RealOrComplex:
         """Outputs of the record; NaN where missing."""
         return np.asarray(self.record.measured)
 
@@ -237,7 +237,7 @@ class FittedExperiment(FittedData):
     initial_state: Array
     free_amplitudes: ComplexArray
     offset: float
-    predicted: NDArray[Any]
+    predicted: RealOrComplex
     drift: float = 0.0
     background: ResponseBackground | None = None
     initial_stderr: Array = field(default_factory=lambda: np.zeros(0))
@@ -249,7 +249,7 @@ class FittedExperiment(FittedData):
         return f"{self.record.samples} samples, fit {self.fit_percent:.2f} %"
 
 
-def pieces(pairs: Pairs) -> Iterator[tuple[Array, NDArray[Any], NDArray[Any]]]:
+def pieces(pairs: Pairs) -> Iterator[tuple[Array, RealOrComplex, RealOrComplex]]:
     """Weights, measured values and residuals block by block; all 0 where a value is missing."""
     for record, predicted in pairs:
         for part in blocks(record.samples, predicted[..., 0].size):
@@ -295,7 +295,7 @@ def joint_percent(shares: Array) -> float:
     return 100.0 * (1.0 - unit_norm(known, 1.0) / float(np.sqrt(known.size))) if known.size else np.nan
 
 
-def unit_norm(error: NDArray[Any], unit: float) -> float:
+def unit_norm(error: RealOrComplex, unit: float) -> float:
     """Norm in a unit, also of numbers whose squares leave the range of doubles."""
     largest = float(np.max(np.abs(error), initial=0.0))
     return float(np.linalg.norm(error / largest)) * (largest / unit) if largest else 0.0
@@ -366,7 +366,7 @@ class FittedChannels(FittedData):
     free_amplitudes: ComplexArray
     offsets: Array
     drifts: Array
-    predicted: NDArray[Any]
+    predicted: RealOrComplex
     background: ResponseBackground | None = None
     offset_stderr: Array = field(default_factory=lambda: np.full(1, np.nan))
     noise_scale: float = 1.0

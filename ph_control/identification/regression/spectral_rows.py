@@ -13,12 +13,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from ..._checks import EPS
-from ..._types import Array, ComplexArray, Indices, NDArray
+from ..._types import Array, ComplexArray, Indices, RealOrComplex
 from ...modal.discretization import Hold
 from ...modal.modal_form import imaginary
 from .modal_regressors import SampledModes
@@ -86,7 +86,7 @@ class ChannelSpectra:
         return np.asarray((2 * inside + np.abs(transform[..., 0]) ** 2 + last) / self.length)
 
     def residual(
-        self, Y: ComplexArray, U: ComplexArray, modes: SampledModes, residues: NDArray[Any], motion: ComplexArray,
+        self, Y: ComplexArray, U: ComplexArray, modes: SampledModes, residues: RealOrComplex, motion: ComplexArray,
         through: Array,
     ) -> ComplexArray:  # fmt: skip
         """Transforms of outputs (q, K) without what modes explain of them; O(T n q) time.
@@ -107,7 +107,7 @@ class ChannelSpectra:
         return self.U if self.ahead is None else np.asarray(late * self.U + (1.0 - late) * self.ahead)
 
     def unexplained(
-        self, p: ComplexArray, residues: NDArray[Any], motion: ComplexArray, through: Array
+        self, p: ComplexArray, residues: RealOrComplex, motion: ComplexArray, through: Array
     ) -> ComplexArray:
         """Transforms of the outputs (q, K) without what modes explain of them."""
         modes = self.record.modes(p)
@@ -192,7 +192,7 @@ class TransformColumns:
         ahead_slope, behind_slope = self._numerators(U, self._modes.b0_slope, self._modes.b1_slope)
         return ahead_slope * self._near + ahead * near_slope, behind_slope * self._far + behind * far_slope
 
-    def output(self, U: ComplexArray, residues: NDArray[Any], motion: ComplexArray, through: Array) -> ComplexArray:
+    def output(self, U: ComplexArray, residues: RealOrComplex, motion: ComplexArray, through: Array) -> ComplexArray:
         """Transforms (q, K) of outputs of a model with inputs (m, all bins), without the columns.
 
         What stands over the poles is a polynomial in `z` and the inputs, whose coefficients meet the poles in products.

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from ..._options import Interpolation
-from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..._types import Array, ComplexArray, Indices, Mask, RealOrComplex
 from ...modal.discretization import Hold
 from .elimination import triangle
 from .modal_regressors import SHORT, GroupStates, Kernel, ModalColumns, SampledModes, in_groups
@@ -55,7 +55,7 @@ class Evaluation:
         """Inner products of the columns of `blocks`, where they can be had without these."""
         return None
 
-    def predict(self, shared: Array, own: Array) -> NDArray[Any]:
+    def predict(self, shared: Array, own: Array) -> RealOrComplex:
         """Output of a model at all instants or frequencies, observed or not."""
         raise NotImplementedError
 
@@ -613,7 +613,7 @@ class FreeTimeEvaluation(RecordColumns):
         super().__init__(rows, kernel, 4 * n * (1 + m) + 2 * m + rows.offset + len(rows.y))
 
     @cached_property
-    def _within(self) -> tuple[ComplexArray, ComplexArray]:
+    def _within(self) -> tuple[RealOrComplex, RealOrComplex]:
         return self._kernel.within(pair=True), self._kernel.within_slope(pair=True)
 
     def layout(self, states: GroupStates, slopes: bool) -> list[Column]:

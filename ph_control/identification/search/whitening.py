@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from ..._checks import EPS
-from ..._types import Array, ComplexArray, NDArray
+from ..._types import Array, ComplexArray, RealOrComplex
 from ..regression.modal_regressors import SampledModes
 from ..regression.tuning import TUNING
 
@@ -78,7 +77,7 @@ def likeliest_ratio(unlikely: Callable[[float], float], gains: Array) -> tuple[f
     return float(np.exp(minimum.x)), float(minimum.fun)
 
 
-def sampled_response(step: SampledModes, residues: NDArray[Any], through: float, phase: Array) -> ComplexArray:
+def sampled_response(step: SampledModes, residues: RealOrComplex, through: float, phase: Array) -> ComplexArray:
     """Frequency response from sample to sample of modes with residues (n,), at some phases per step."""
     z, response = np.exp(1j * phase), np.full(len(phase), through, complex)
     for w, lam, b0, b1 in zip(residues, step.multiplier, step.b0, step.b1, strict=True):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from scipy.linalg import lapack
@@ -18,7 +18,7 @@ from scipy.optimize import nnls
 from ..._checks import EPS
 from ..._frozen import Frozen
 from ..._options import HYPOTHESES
-from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..._types import Array, ComplexArray, Indices, Mask, RealOrComplex
 from ..data.windowed import have_shared_errors, shared_score_covariance
 from ..parameters.fitted_parameters import FittedParameters, ParametricPoint
 from ..regression.elimination import LinearProjection, reduced, tolerance
@@ -77,8 +77,8 @@ class StructuredFit(Frozen):
     p: ComplexArray
     residues: ComplexArray
     feedthrough: Array
-    shapes: NDArray[Any] | None
-    participation: NDArray[Any] | None
+    shapes: RealOrComplex | None
+    participation: RealOrComplex | None
     loss: float
     parameters: int
     variance: float

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..._types import Array, ComplexArray, Indices, Mask, RealOrComplex
 from ..._units import DERIVATIVES
 from ..regression.sections import Sections
 
@@ -171,11 +171,11 @@ class StructureCoordinates:
         parts += [] if self.real else [values.imag.ravel()]
         return np.concatenate([*parts, feedthrough[self.fed_entries]])
 
-    def nearest_values(self, scaled: ComplexArray) -> NDArray[Any]:
+    def nearest_values(self, scaled: ComplexArray) -> RealOrComplex:
         """Values (units, number) for matrices (units, p, m) near to these."""
         raise NotImplementedError
 
-    def residue_values(self, x: Array) -> NDArray[Any]:
+    def residue_values(self, x: Array) -> RealOrComplex:
         """Values of the residues, shape (units, number): real if the structure says so."""
         count = self._unit_count * self.values
         real = x[self._pole_count : self._pole_count + count]
@@ -197,7 +197,7 @@ class StructureCoordinates:
         sizes[self._pole_count : self._pole_count + len(value_sizes)] = value_sizes
         return sizes
 
-    def matrices(self, values: NDArray[Any]) -> NDArray[Any]:
+    def matrices(self, values: RealOrComplex) -> RealOrComplex:
         """Residues over their factor, shape (units, p, m)."""
         raise NotImplementedError
 
@@ -260,7 +260,7 @@ class StructureCoordinates:
         """Places of the feedthrough of each entry among the coordinates."""
         return self.size - 1 - int(self.fed_entries.sum()) + np.cumsum(self.fed_entries).reshape(self.fed_entries.shape)
 
-    def slopes(self, values: NDArray[Any], output: int, input: int) -> Sequence[tuple[int, NDArray[Any]]]:
+    def slopes(self, values: RealOrComplex, output: int, input: int) -> Sequence[tuple[int, RealOrComplex]]:
         """Places of the values that an entry depends on, and its derivative by each."""
         raise NotImplementedError
 
@@ -315,16 +315,16 @@ class MatrixCoordinates(StructureCoordinates):
             + int(self.fed_entries.sum())
         )
 
-    def nearest_values(self, scaled: ComplexArray) -> NDArray[Any]:
+    def nearest_values(self, scaled: ComplexArray) -> RealOrComplex:
         """Means over the entries of each value."""
         membership = np.eye(self.values)[self._classes[self.shown_entries]]
         return scaled[:, self.shown_entries] @ (membership / np.maximum(membership.sum(axis=0), 1))
 
-    def matrices(self, values: NDArray[Any]) -> NDArray[Any]:
+    def matrices(self, values: RealOrComplex) -> RealOrComplex:
         """Residues over their factor, shape (n, p, m)."""
         return values[:, self._classes]
 
-    def slopes(self, values: NDArray[Any], output: int, input: int) -> Sequence[tuple[int, NDArray[Any]]]:
+    def slopes(self, values: RealOrComplex, output: int, input: int) -> Sequence[tuple[int, RealOrComplex]]:
         """One value for each entry."""
         return [(int(self._classes[output, input]), np.ones(self._unit_count))]
 
@@ -397,7 +397,7 @@ class ShapeCoordinates(StructureCoordinates):
         factor = self._factor(self.sections)
         return np.asarray(np.abs(residues / factor) * factor)
 
-    def nearest_values(self, scaled: ComplexArray) -> NDArray[Any]:
+    def nearest_values(self, scaled: ComplexArray) -> RealOrComplex:
         """From the first singular vectors, scaled so that output and input agree at ports as far as they can."""
         outputs, inputs = self._places
         matrices = np.where(self.shown_entries, scaled.real if self.real else scaled, 0.0)
@@ -424,17 +424,17 @@ class ShapeCoordinates(StructureCoordinates):
         values[:, outputs] = c
         return values
 
-    def shapes(self, x: Array) -> tuple[NDArray[Any], NDArray[Any]]:
+    def shapes(self, x: Array) -> tuple[RealOrComplex, RealOrComplex]:
         """Numbers of the outputs (n, p), and of the inputs (n, m)."""
         values = self.residue_values(x)
         return values[:, self._places[0]], values[:, self._places[1]]
 
-    def matrices(self, values: NDArray[Any]) -> NDArray[Any]:
+    def matrices(self, values: RealOrComplex) -> RealOrComplex:
         """Residues over their factor, shape (n, p, m)."""
         outputs, inputs = self._places
         return values[:, outputs, None] * values[:, None, inputs]
 
-    def slopes(self, values: NDArray[Any], output: int, input: int) -> Sequence[tuple[int, NDArray[Any]]]:
+    def slopes(self, values: RealOrComplex, output: int, input: int) -> Sequence[tuple[int, RealOrComplex]]:
         """Each factor by the other."""
         first, second = int(self._places[0][output]), int(self._places[1][input])
         return [(first, values[:, second]), (second, values[:, first])]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ... import _checks
-from ..._types import Array, ArrayLike, ComplexArray, Mask, NDArray
+from ..._types import Array, ArrayLike, ComplexArray, Mask, Numbers
 from ...exceptions import StructureError
 from ..regression.prediction import ResponseBackground
 from .draws import Draws
@@ -301,8 +301,8 @@ class ModalSamples(Draws):
         return response
 
     def _tables(
-        self, name: str, points: ArrayLike, values: Callable[[Array, ComplexArray], NDArray[Any]]
-    ) -> Iterator[NDArray[Any]]:
+        self, name: str, points: ArrayLike, values: Callable[[Array, ComplexArray], Numbers]
+    ) -> Iterator[Numbers]:
         """Values at points (K, k), a block of points at a time."""
         return (values(block[:, None, None], self.poles) for block in self._blocks(name, points, self.poles.size))
 

@@ -8,13 +8,12 @@ from typing import Any, cast
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _checks
 from ..._display import Report, counted, percent
 from ..._frozen import Frozen
 from ..._options import ComparedState, Discretisation, Interpolation, InterpolationOrAuto
-from ..._types import Array
+from ..._types import Array, NDArray, RealOrComplex
 from ..._units import parted, unit_for
 from ...exceptions import StructureError
 from ...plotting.fit_plot import comparison_plot
@@ -127,7 +126,7 @@ class Comparison(Report, HeldData, Frozen):
         return ", ".join(self.output_labels)
 
     @property
-    def predicted(self) -> NDArray[Any]:
+    def predicted(self) -> RealOrComplex:
         """Output of each model, shape (k, T), all experiments one after the other; (k, p, T) or (k, p, m, T)."""
         return _checks.readonly(np.concatenate([experiment.predicted for experiment in self.experiments], axis=-1))
 

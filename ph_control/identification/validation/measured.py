@@ -9,12 +9,11 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _checks
 from ..._display import counted, counted_poles
 from ..._frozen import Frozen
-from ..._types import Array
+from ..._types import Array, RealOrComplex
 from ..._units import common_unit
 from ...exceptions import StructureError
 from ...plotting.inputs import given_name
@@ -36,7 +35,7 @@ class HeldExperiment(Frozen):
     record: Kind
 
     @property
-    def measured(self) -> NDArray[Any]:
+    def measured(self) -> RealOrComplex:
         """What was measured; NaN where missing."""
         return self.record.measured
 
@@ -47,7 +46,7 @@ class HeldData:
     experiments: tuple[Any, ...]
 
     @property
-    def measured(self) -> NDArray[Any]:
+    def measured(self) -> RealOrComplex:
         """What was measured, shape (T,), all experiments one after the other; NaN where missing.
 
         Of several channels (p, T), or (p, m, T) of frequency responses.

@@ -9,13 +9,12 @@ from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _checks
 from ..._display import Report, first_of, p_value, percent
 from ..._frozen import Frozen
 from ..._options import ComparedState, Discretisation, Interpolation
-from ..._types import Array, Indices
+from ..._types import Array, Indices, NDArray, RealOrComplex
 from ..._units import unit_for
 from ...exceptions import StructureError
 from ...plotting.validation_plot import CorrelationPanel, ResponsePanel, residual_panels_plot
@@ -70,7 +69,7 @@ class ResidualExperiment(HeldExperiment):
     """
 
     residuals: NDArray[Any]
-    simulation_residuals: NDArray[Any]
+    simulation_residuals: RealOrComplex
     fit_percent: float
     own_record: bool
 
@@ -183,12 +182,12 @@ class ResidualAnalysis(Report, HeldData, Frozen):
         return _message_of(self)
 
     @property
-    def residuals(self) -> NDArray[Any]:
+    def residuals(self) -> RealOrComplex:
         """Measured output less that of the model, all experiments one after the other; NaN where missing."""
         return _checks.readonly(np.concatenate([experiment.residuals for experiment in self.experiments]))
 
     @property
-    def simulation_residuals(self) -> NDArray[Any]:
+    def simulation_residuals(self) -> RealOrComplex:
         """Measured output less that of a simulation, all experiments one after the other; NaN where missing."""
         parts = [experiment.simulation_residuals for experiment in self.experiments]
         return _checks.readonly(np.concatenate(parts))
@@ -477,7 +476,7 @@ def _means(data: ResidualData, unit: float, spectral: bool) -> tuple[complex, ..
 
 
 def _residual_data(
-    records: tuple[Kind, ...], residuals: list[NDArray[Any]], answers: list[Simulation], lags: int
+    records: tuple[Kind, ...], residuals: Sequence[RealOrComplex], answers: list[Simulation], lags: int
 ) -> tuple[ResidualData, float]:
     """Series one after the other, each in the scale of its weights and its own noise; and the unit of all.
 
@@ -517,7 +516,7 @@ def _inputs(records: tuple[Kind, ...], level: Array) -> Array:
     return u / (np.max(np.abs(u)) or 1.0) * level
 
 
-def _directions(answers: list[Simulation], scales: list[Array]) -> tuple[list[NDArray[Any]], list[NDArray[Any]]]:
+def _directions(answers: list[Simulation], scales: list[Array]) -> tuple[list[RealOrComplex], list[RealOrComplex]]:
     """What was fitted to all experiments, and what to each alone; nothing of very long records."""
     fitted = [answer.directions() for answer in answers]
     if sum(directions.shared.size + directions.local.size for directions in fitted) > _MOST:
@@ -537,7 +536,7 @@ def _weights(record: Kind, answer: Simulation) -> Array:
     return record.weights if isinstance(record, FrequencyRecord) else np.ones(record.samples)
 
 
-def _in_noise(columns: NDArray[Any], scale: Array, answer: Simulation) -> NDArray[Any]:
+def _in_noise(columns: RealOrComplex, scale: Array, answer: Simulation) -> RealOrComplex:
     """Columns (T, k) in a scale, made such that errors which are correlated are white."""
     if answer.errors is None:
         return np.asarray(scale[:, None] * columns)

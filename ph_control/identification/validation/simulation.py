@@ -9,11 +9,10 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _checks
 from ..._options import COMPARED_STATES, DISCRETISATIONS, INTERPOLATIONS, ComparedState, Discretisation, Interpolation
-from ..._types import Array, ComplexArray, Indices
+from ..._types import Array, ComplexArray, Indices, RealOrComplex
 from ...analysis.spectral_window import estimated_response
 from ...analysis.time_response import forced_response
 from ...exceptions import StructureError
@@ -53,7 +52,7 @@ class Simulation:
     those of a response that was estimated with a window.
     """
 
-    output: NDArray[Any]
+    output: RealOrComplex
     directions: Callable[[], Directions]
     own: bool = False
     past: int = 0
