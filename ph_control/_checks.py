@@ -34,7 +34,7 @@ def readonly(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """Text of a value for a message: its type where the text would be long or have several lines, or cannot be made."""
     try:
         text = repr(value)
@@ -43,7 +43,7 @@ def shown(value: Any) -> str:
     return text if len(text) < 40 and "\n" not in text else type(value).__name__
 
 
-def type_of(value: Any) -> str:
+def type_of(value: object) -> str:
     """Type of what is no system; of the result of a fit with the place of its system."""
     kind = type(value)
     return kind.__name__ + ", whose model is its attribute `system`" * hasattr(kind, "system")
@@ -60,7 +60,7 @@ def labels(value: Any, count: int, what: str) -> list[str]:
     return texts
 
 
-def unit_text(unit: Any) -> str:
+def unit_text(unit: object) -> str:
     """Check the name of a unit; none is the empty text."""
     if not isinstance(unit, str | None):
         raise StructureError(f"the unit {shown(unit)} is not a text; give its name, such as 'm/s', or None")
@@ -145,7 +145,7 @@ def representable(what: str, *arrays: NDArray[Any], nonzero: NDArray[np.bool_] |
         )
 
 
-def complex_points(name: str, value: Any) -> NDArray[np.complex128]:
+def complex_points(name: str, value: object) -> NDArray[np.complex128]:
     """Check points of the complex plane: a number or a vector, no NaN; infinity is a point."""
     if np.ma.is_masked(value):
         raise StructureError(f"{name} have masked entries; fill them, since a mask would be lost here")
@@ -162,7 +162,7 @@ def complex_points(name: str, value: Any) -> NDArray[np.complex128]:
     return points
 
 
-def complex_matrix(name: str, value: Any, rows: int) -> NDArray[np.complex128]:
+def complex_matrix(name: str, value: object, rows: int) -> NDArray[np.complex128]:
     """Check a matrix of finite complex numbers with so many rows; a copy."""
     try:
         array = np.array(value, dtype=complex)
@@ -174,7 +174,7 @@ def complex_matrix(name: str, value: Any, rows: int) -> NDArray[np.complex128]:
     return array
 
 
-def relative_tolerance(rtol: Any) -> float:
+def relative_tolerance(rtol: object) -> float:
     """Check a relative tolerance: a number from 0 to 1, 1 itself excluded."""
     if not is_number(rtol) or not 0 <= rtol < 1:
         raise StructureError(f"rtol is {shown(rtol)}; a relative tolerance is a number from 0 to 1")
@@ -465,7 +465,7 @@ def sampling_step(dt: Any, *, name: str = "dt") -> float:
     return step
 
 
-def choice(name: str, value: Any, allowed: tuple[Choice, ...]) -> Choice:
+def choice(name: str, value: object, allowed: tuple[Choice, ...]) -> Choice:
     """Check a keyword that names one of a few ways."""
     if not (isinstance(value, str) and value in allowed):
         raise StructureError(f"{name} is {value!r}; it must be one of {', '.join(map(repr, allowed))}")
@@ -485,12 +485,12 @@ def is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
-def is_whole(value: Any) -> bool:
+def is_whole(value: object) -> bool:
     """Whether this is a whole number, of Python or of numpy; True and False are none."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
-def is_flag(value: Any) -> bool:
+def is_flag(value: object) -> bool:
     """Whether this is True or False: also as a number 0 or 1, or as a boolean of numpy."""
     return isinstance(value, bool | np.bool_ | int | np.integer) and value in (0, 1)
 
@@ -502,7 +502,7 @@ def flags(**given: Any) -> None:
             raise StructureError(f"{name} is {shown(value)}; it must be True or False")
 
 
-def flag_or_auto(name: str, value: Any) -> None:
+def flag_or_auto(name: str, value: object) -> None:
     """Check a keyword that may be left to the data."""
     if not is_flag(value) and not (isinstance(value, str) and value == "auto"):
         raise StructureError(f"{name} is {shown(value)}; it must be True, False or 'auto'")
@@ -519,12 +519,12 @@ def band(value: Any) -> tuple[float, float]:
     return float(edges[0]), float(edges[1])
 
 
-def level(name: str, value: Any) -> float:
+def level(name: str, value: object) -> float:
     """Check a level of confidence."""
     return between(name, value, 0.0, 1.0, ", such as 0.95")
 
 
-def between(name: str, value: Any, low: float, high: float, advice: str = "") -> float:
+def between(name: str, value: object, low: float, high: float, advice: str = "") -> float:
     """Check a number between two others."""
     if not (is_number(value) and low < value < high):
         raise StructureError(f"{name} is {shown(value)}; it must be a number between {low:g} and {high:g}{advice}")
@@ -578,7 +578,7 @@ def signal_names(names: Mapping[str, Any], **sizes: int) -> None:
             raise StructureError(f"two of the {kind} are called {shown(twice)}; give each a name of its own")
 
 
-def _text(what: str, name: Any) -> None:
+def _text(what: str, name: object) -> None:
     if not (isinstance(name, str) and "." not in name):
         raise StructureError(f"{what} is {shown(name)}; a name is a text without dots")
 

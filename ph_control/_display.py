@@ -41,7 +41,7 @@ def listed_or_literal(vector: RealOrComplex) -> str:
     return "[" + textwrap.fill(numbers, 100, subsequent_indent=" ", break_on_hyphens=False) + "]"
 
 
-def escaped(text: Any) -> str:
+def escaped(text: object) -> str:
     """Text as it is read in HTML."""
     return html.escape(str(text)).replace("$", "&#36;")
 

@@ -59,7 +59,7 @@ def parted(label: str) -> tuple[str, str]:
     return label, ""
 
 
-def checked_unit(value: Any) -> str | None:
+def checked_unit(value: object) -> str | None:
     """Unit of time that a caller gave, in the spelling of `SECONDS`."""
     unit = known_unit(value) if isinstance(value, str) else None
     if value is not None and unit is None:
@@ -75,7 +75,7 @@ def with_unit(data: Data, unit: str | None) -> Data:
     return data
 
 
-def common_unit(*things: Any) -> str | None:
+def common_unit(*things: object) -> str | None:
     """Unit of time of data, results and lists of these, where any tells one; two of them are refused."""
     flat = [source for thing in things for source in (thing if isinstance(thing, list | tuple) else [thing])]
     stated = dict.fromkeys(checked_unit(getattr(source, "time_unit", None)) for source in flat)
@@ -88,7 +88,7 @@ def common_unit(*things: Any) -> str | None:
     return units[0] if units else None
 
 
-def unit_for(given: str | None, *things: Any) -> str | None:
+def unit_for(given: str | None, *things: object) -> str | None:
     """Unit for the labels of a picture: the one given, which may be any text, or else that of what is drawn."""
     known = common_unit(*things)
     if given is None or known is None:

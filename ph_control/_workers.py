@@ -12,7 +12,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from contextlib import contextmanager
 from itertools import islice
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,8 @@ _WAITING = 5  # times as long such calls may wait, for a file or for a processor
 _LEAST = 4  # threads that a cluster is taken to have
 _BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 Ended = Generator[tuple[int, Any, "BaseException | None"], None, None]
 
 
@@ -39,12 +41,12 @@ def check_workers(workers: Any) -> None:
         )
 
 
-def _submits(workers: Any) -> bool:
+def _submits(workers: object) -> bool:
     """Whether this is an executor, or a Dask client."""
     return hasattr(workers, "submit")
 
 
-def mapped(function: Callable[[Any], Any], items: Sequence[Any], workers: Any, kind: type) -> Iterable[Any]:
+def mapped(function: Callable[[Item], Result], items: Sequence[Item], workers: Any, kind: type) -> Iterable[Result]:
     """Results of a kind in the order of the items; the first error is raised."""
     if callable(workers) and not _submits(workers):
         try:
@@ -73,7 +75,7 @@ def mapped(function: Callable[[Any], Any], items: Sequence[Any], workers: Any, k
     return results
 
 
-def completed(function: Callable[[Any], Any], items: Iterable[Any], workers: Any) -> Ended:
+def completed(function: Callable[[Item], Any], items: Iterable[Item], workers: object) -> Ended:
     """Place, result and error of each call as it ends; items are taken as there is room, so there may be any number.
 
     Short calls travel together, and each is made again, alone, where one of them fails.  So it is where a process of
@@ -86,8 +88,8 @@ def completed(function: Callable[[Any], Any], items: Iterable[Any], workers: Any
             yield place, *_called(function, item)
         return
     pool = _pool_of(workers)
-    under_way: dict[Future[Any], list[tuple[int, Any]]] = {}
-    suspects: list[tuple[int, Any]] = []
+    under_way: dict[Future[Any], list[tuple[int, Item]]] = {}
+    suspects: list[tuple[int, Item]] = []
     deaths: Counter[int] = Counter()
     size = 1
     try:
@@ -129,7 +131,7 @@ def completed(function: Callable[[Any], Any], items: Iterable[Any], workers: Any
         pool.stop(list(under_way))
 
 
-def _taken(source: Iterator[tuple[int, Any]], size: int) -> list[tuple[int, Any]]:
+def _taken(source: Iterator[Item], size: int) -> list[Item]:
     """The next items, fewer than asked for where they come slowly."""
     taken = []
     end = time.perf_counter() + _SECONDS
@@ -140,14 +142,14 @@ def _taken(source: Iterator[tuple[int, Any]], size: int) -> list[tuple[int, Any]
     return taken
 
 
-def _together(function: Callable[[Any], Any], items: Sequence[Any]) -> tuple[list[Any], float]:
+def _together(function: Callable[[Item], Result], items: Sequence[Item]) -> tuple[list[Result], float]:
     """Results of calls that have travelled together, and the seconds by which their number is chosen."""
     own, wall = time.thread_time(), time.perf_counter()
     results = [function(item) for item in items]
     return results, max(time.thread_time() - own, (time.perf_counter() - wall) / _WAITING)
 
 
-def _called(function: Callable[[Any], Any], item: Any) -> tuple[Any, BaseException | None]:
+def _called(function: Callable[[Item], Result], item: Item) -> tuple[Result | None, BaseException | None]:
     try:
         return function(item), None
     except Exception as error:
@@ -159,7 +161,7 @@ def _is_lost(future: Future[Any]) -> bool:
     return future.cancelled() or isinstance(future.exception(), BrokenExecutor)
 
 
-def _is_one(workers: Any) -> bool:
+def _is_one(workers: object) -> bool:
     return isinstance(workers, int | np.integer) and workers == 1
 
 
@@ -170,7 +172,7 @@ def _count(workers: int) -> int:
 # --- where calls go --------------------------------------------------------------------------------------------------
 
 
-def _pool_of(workers: Any) -> Any:
+def _pool_of(workers: Any) -> _Given:
     if hasattr(workers, "get_executor"):
         return _Cluster(workers)
     if not (_submits(workers) or isinstance(workers, int | np.integer)):
@@ -187,10 +189,10 @@ class _Given:
     def __init__(self, executor: Any) -> None:
         self._executor = executor
 
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+    def submit(self, function: Callable[..., Result], *arguments: object) -> Future[Result]:
         """Future of a call, which has failed already where the executor is broken."""
         try:
-            future: Future[Any] = self._executor.submit(function, *arguments)
+            future: Future[Result] = self._executor.submit(function, *arguments)
         except BrokenExecutor as error:
             future = Future()
             future.set_exception(error)
@@ -293,7 +295,7 @@ def uninterrupted() -> Iterator[None]:
             os._exit(1)
 
 
-def _end(*_: Any) -> None:
+def _end(*_: object) -> None:
     _End.requested = True
     if not _End.waits:
         os._exit(1)

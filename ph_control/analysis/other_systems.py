@@ -12,11 +12,12 @@ from scipy.signal import cont2discrete
 
 from .. import _checks
 from .._options import INTERPOLATIONS
-from .._types import Array
+from .._types import Array, ArrayLike
 from ..exceptions import StructureError
 from ..modal.general_form import GeneralModalForm
 from ..modal.modal_form import ModalForm
-from ..systems.base import LosslessSystem, inherited_names
+from ..numerics.rational import LinearSystem
+from ..systems.base import Convertible, LosslessSystem, inherited_names
 from ..systems.port_hamiltonian import ph
 
 MOST_INSTANTS = 10**9  # 8 GB of them
@@ -26,7 +27,7 @@ _REFUSED = ValueError, TypeError, NotImplementedError, ArithmeticError, np.linal
 _RULES = {("exact", "zoh"): "zoh", ("exact", "foh"): "foh", ("midpoint", "foh"): "bilinear", ("euler", "zoh"): "euler"}
 
 
-def as_system(sys: Any) -> Any:
+def as_system(sys: Convertible) -> LinearSystem:
     """A linear system: one of this package, or another of python-control; modal forms become one or the other."""
     if isinstance(sys, GeneralModalForm):
         return sys.state_space()
@@ -52,7 +53,7 @@ def check_exact(method: str) -> None:
         )
 
 
-def instants_of(systems: Sequence[Any], timepts: Any, samples: int | None) -> Array:
+def instants_of(systems: Sequence[LinearSystem], timepts: ArrayLike | None, samples: int | None) -> Array:
     """Instants that python-control chooses for systems, the longest of these; or those that are given."""
     if timepts is not None and np.ndim(timepts) > 0:
         return _checks.real_array("the time vector", timepts, 1)
@@ -63,7 +64,7 @@ def instants_of(systems: Sequence[Any], timepts: Any, samples: int | None) -> Ar
     return max(times, key=lambda t: float(t[-1]))
 
 
-def responding(response: Callable[..., Any], sys: Any, t: Any, *values: Any, **options: Any) -> Any:
+def responding(response: Callable[..., Any], sys: LinearSystem, t: Any, *values: object, **options: object) -> Any:
     """A response by python-control, of finite numbers."""
     if np.ndim(t):
         _checks.time_step(t)
@@ -78,7 +79,7 @@ def responding(response: Callable[..., Any], sys: Any, t: Any, *values: Any, **o
     return answer
 
 
-def held(sys: Any, t: Array, intersample: str) -> Any:
+def held(sys: LinearSystem, t: Array, intersample: str) -> LinearSystem:
     """A system whose inputs are held between instants, where they are."""
     _checks.choice("intersample", intersample, INTERPOLATIONS)
     if intersample == "foh" or not sys.isctime() or len(t) < 2:
@@ -86,7 +87,7 @@ def held(sys: Any, t: Array, intersample: str) -> Any:
     return ct.sample_system(ct.ss(sys), _checks.time_step(t) or 1.0, "zoh")
 
 
-def sampled(sys: Any, h: float, method: str, intersample: str, names: dict[str, Any]) -> ct.StateSpace:
+def sampled(sys: LinearSystem, h: float, method: str, intersample: str, names: dict[str, Any]) -> ct.StateSpace:
     """A system of another kind as a discrete-time state space, by the rule of python-control that is the same."""
     rule = _RULES.get((method, intersample))
     if rule is None:

@@ -221,11 +221,11 @@ def _names(labels: Any) -> str:
     return " " + _in_comment(", ".join(map(str, labels)))
 
 
-def _in_line(text: Any) -> str:
+def _in_line(text: object) -> str:
     """Text without what would end a line."""
     return " ".join(str(text).split())
 
 
-def _in_comment(text: Any) -> str:
+def _in_comment(text: object) -> str:
     """Text that does not end a comment in C."""
     return _in_line(text).replace("*/", "* /").replace("/*", "/ *").replace("\\", "/").replace("??", "? ?")

@@ -164,7 +164,7 @@ def spectral_estimate(
     return with_unit(estimate, common_unit(data))
 
 
-def _record(data: Any) -> tuple[Array, Array, float]:
+def _record(data: object) -> tuple[Array, Array, float]:
     """Input, output (NaN where missing) and step of a record."""
     if not isinstance(data, ct.TimeResponseData):
         raise StructureError(
@@ -187,7 +187,7 @@ def _record(data: Any) -> tuple[Array, Array, float]:
     return u, y, step
 
 
-def _segment_length(samples: int, segments: Any) -> int:
+def _segment_length(samples: int, segments: object) -> int:
     """Longest even length with which `segments` half-overlapping segments fit."""
     half = samples // (_checks.whole_number("segments", segments, 1) + 1)
     if 2 * half < _SHORTEST:

@@ -56,7 +56,7 @@ class SpectralWindow:
 
     @classmethod
     def of(
-        cls, name: Any, length: int, step: float, hold: ResponseInterpolation, shift: int | None = None
+        cls, name: object, length: int, step: float, hold: ResponseInterpolation, shift: int | None = None
     ) -> SpectralWindow:
         """The window that scipy knows by a name, of blocks that overlap by half unless a `shift` is given."""
         values = signal.get_window(name, length)

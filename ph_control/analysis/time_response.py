@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from inspect import signature
@@ -20,7 +20,8 @@ from .._types import Array, ComplexArray
 from ..exceptions import StructureError
 from ..modal.discretization import Hold
 from ..modal.modal_form import imaginary
-from ..systems.base import LosslessSystem, in_normal_form
+from ..numerics.rational import LinearSystem
+from ..systems.base import Convertible, LosslessSystem, in_normal_form
 from .other_systems import MOST_INSTANTS, as_system, check_exact, held, instants_of, responding
 from .time_grid import default_time_vector
 from .trajectories import check_finite, trajectory
@@ -56,16 +57,16 @@ def _with_aliases(response: Response) -> Response:
 
 
 @overload
-def forced_response(sysdata: list[Any] | tuple[Any, ...], *args: Any, **kwargs: Any) -> TimeResponseList: ...
+def forced_response(sysdata: Sequence[Convertible], *args: Any, **kwargs: Any) -> TimeResponseList: ...
 @overload
 def forced_response(
-    sysdata: Any, timepts: ArrayLike | None = ..., inputs: ArrayLike = ..., initial_state: ArrayLike = ...,
+    sysdata: Convertible, timepts: ArrayLike | None = ..., inputs: ArrayLike = ..., initial_state: ArrayLike = ...,
     transpose: bool = ..., return_states: bool | None = ..., squeeze: bool | None = ..., *,
-    method: Discretisation = ..., intersample: Interpolation = ..., **aliases: Any,
+    method: Discretisation = ..., intersample: Interpolation = ..., **aliases: ArrayLike | None,
 ) -> TimeResponseData: ...  # fmt: skip
 @_with_aliases
 def forced_response(
-    sysdata: Any,
+    sysdata: Convertible,
     timepts: ArrayLike | None = None,
     inputs: ArrayLike = 0.0,
     initial_state: ArrayLike = 0.0,
@@ -75,7 +76,7 @@ def forced_response(
     *,
     method: Discretisation = "exact",
     intersample: Interpolation = "foh",
-    **aliases: Any,
+    **aliases: ArrayLike | None,
 ) -> TimeResponseData | TimeResponseList:
     """Response to an input signal and an initial state.
 
@@ -152,7 +153,7 @@ def forced_response(
             squeeze=squeeze, sysname=sys.name, trace_types=["forced"], plot_inputs=True,
         )  # fmt: skip
 
-    def of_other(sys: Any, t: Array) -> TimeResponseData:
+    def of_other(sys: LinearSystem, t: Array) -> TimeResponseData:
         u = _input_signal(inputs, sys.ninputs, t.size, transpose)
         return responding(
             ct.forced_response, held(sys, t, intersample), t, u.T if transpose else u,
@@ -164,17 +165,17 @@ def forced_response(
 
 
 @overload
-def step_response(sysdata: list[Any] | tuple[Any, ...], *args: Any, **kwargs: Any) -> TimeResponseList: ...
+def step_response(sysdata: Sequence[Convertible], *args: Any, **kwargs: Any) -> TimeResponseList: ...
 @overload
 def step_response(
-    sysdata: Any, timepts: ArrayLike | None = ..., initial_state: ArrayLike = ...,
+    sysdata: Convertible, timepts: ArrayLike | None = ..., initial_state: ArrayLike = ...,
     input_indices: int | None = ..., output_indices: int | None = ..., timepts_num: int | None = ...,
     transpose: bool = ..., return_states: bool = ..., squeeze: bool | None = ..., *,
-    method: Discretisation = ..., intersample: Interpolation = ..., **aliases: Any,
+    method: Discretisation = ..., intersample: Interpolation = ..., **aliases: ArrayLike | None,
 ) -> TimeResponseData: ...  # fmt: skip
 @_with_aliases
 def step_response(
-    sysdata: Any,
+    sysdata: Convertible,
     timepts: ArrayLike | None = None,
     initial_state: ArrayLike = 0.0,
     input_indices: int | None = None,
@@ -186,7 +187,7 @@ def step_response(
     *,
     method: Discretisation = "exact",
     intersample: Interpolation = "zoh",
-    **aliases: Any,
+    **aliases: ArrayLike | None,
 ) -> TimeResponseData | TimeResponseList:
     """Response to a unit step at each input.
 
@@ -239,13 +240,13 @@ def step_response(
     """
 
     def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
-        def drive(port: int) -> tuple[Array, Any]:
+        def drive(port: int) -> tuple[Array, ArrayLike]:
             return np.eye(sys.ninputs)[:, port, None] * np.ones(t.size), initial_state
 
         layout = _TraceLayout(input_indices, output_indices, transpose, squeeze, return_states)
         return _traces(sys, t, drive, "Step", layout, method, intersample)
 
-    def of_other(sys: Any, t: Array) -> TimeResponseData:
+    def of_other(sys: LinearSystem, t: Array) -> TimeResponseData:
         _checks.choice("intersample", intersample, INTERPOLATIONS)
         picked = _chosen("input", input_indices, sys.ninputs), _chosen("output", output_indices, sys.noutputs)
         return responding(
@@ -257,16 +258,16 @@ def step_response(
 
 
 @overload
-def impulse_response(sysdata: list[Any] | tuple[Any, ...], *args: Any, **kwargs: Any) -> TimeResponseList: ...
+def impulse_response(sysdata: Sequence[Convertible], *args: Any, **kwargs: Any) -> TimeResponseList: ...
 @overload
 def impulse_response(
-    sysdata: Any, timepts: ArrayLike | None = ..., input_indices: int | None = ...,
+    sysdata: Convertible, timepts: ArrayLike | None = ..., input_indices: int | None = ...,
     output_indices: int | None = ..., timepts_num: int | None = ..., transpose: bool = ...,
-    return_states: bool = ..., squeeze: bool | None = ..., *, method: Discretisation = ..., **aliases: Any,
+    return_states: bool = ..., squeeze: bool | None = ..., *, method: Discretisation = ..., **aliases: ArrayLike | None,
 ) -> TimeResponseData: ...  # fmt: skip
 @_with_aliases
 def impulse_response(
-    sysdata: Any,
+    sysdata: Convertible,
     timepts: ArrayLike | None = None,
     input_indices: int | None = None,
     output_indices: int | None = None,
@@ -276,7 +277,7 @@ def impulse_response(
     squeeze: bool | None = None,
     *,
     method: Discretisation = "exact",
-    **aliases: Any,
+    **aliases: ArrayLike | None,
 ) -> TimeResponseData | TimeResponseList:
     """Response to a unit impulse at each input: the free motion from `z = B e_j`.
 
@@ -308,13 +309,13 @@ def impulse_response(
     """
 
     def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
-        def drive(port: int) -> tuple[Array, Any]:
+        def drive(port: int) -> tuple[Array, ArrayLike]:
             return np.zeros((sys.ninputs, t.size)), sys.B[:, port]
 
         layout = _TraceLayout(input_indices, output_indices, transpose, squeeze, return_states)
         return _traces(sys, t, drive, "Impulse", layout, method, "zoh")
 
-    def of_other(sys: Any, t: Array) -> TimeResponseData:
+    def of_other(sys: LinearSystem, t: Array) -> TimeResponseData:
         picked = _chosen("input", input_indices, sys.ninputs), _chosen("output", output_indices, sys.noutputs)
         return responding(
             ct.impulse_response, sys, t, *picked, transpose=transpose, return_states=return_states, squeeze=squeeze
@@ -324,16 +325,16 @@ def impulse_response(
 
 
 @overload
-def initial_response(sysdata: list[Any] | tuple[Any, ...], *args: Any, **kwargs: Any) -> TimeResponseList: ...
+def initial_response(sysdata: Sequence[Convertible], *args: Any, **kwargs: Any) -> TimeResponseList: ...
 @overload
 def initial_response(
-    sysdata: Any, timepts: ArrayLike | None = ..., initial_state: ArrayLike = ...,
+    sysdata: Convertible, timepts: ArrayLike | None = ..., initial_state: ArrayLike = ...,
     output_indices: int | None = ..., timepts_num: int | None = ..., transpose: bool = ...,
-    return_states: bool = ..., squeeze: bool | None = ..., *, method: Discretisation = ..., **aliases: Any,
+    return_states: bool = ..., squeeze: bool | None = ..., *, method: Discretisation = ..., **aliases: ArrayLike | None,
 ) -> TimeResponseData: ...  # fmt: skip
 @_with_aliases
 def initial_response(
-    sysdata: Any,
+    sysdata: Convertible,
     timepts: ArrayLike | None = None,
     initial_state: ArrayLike = 0.0,
     output_indices: int | None = None,
@@ -343,7 +344,7 @@ def initial_response(
     squeeze: bool | None = None,
     *,
     method: Discretisation = "exact",
-    **aliases: Any,
+    **aliases: ArrayLike | None,
 ) -> TimeResponseData | TimeResponseList:
     """Free motion from an initial state.
 
@@ -384,7 +385,7 @@ def initial_response(
             return_x=bool(return_states), squeeze=squeeze, sysname=sys.name, trace_types=["initial"],
         )  # fmt: skip
 
-    def of_other(sys: Any, t: Array) -> TimeResponseData:
+    def of_other(sys: LinearSystem, t: Array) -> TimeResponseData:
         picked = _chosen("output", output_indices, sys.noutputs)
         return responding(
             ct.initial_response, sys, t, _initial_state(initial_state, sys.nstates), picked, transpose=transpose,
@@ -398,13 +399,18 @@ Run = Callable[[Any, Array], TimeResponseData]
 
 
 def _each(
-    sysdata: Any, run: Run, of_other: Run, method: Discretisation, timepts: Any, samples: int | None
+    sysdata: Convertible,
+    run: Run,
+    of_other: Run,
+    method: Discretisation,
+    timepts: ArrayLike | None,
+    samples: int | None,
 ) -> TimeResponseData | TimeResponseList:
     """Run one system, or each of a list on common instants: those of the package, or others."""
-    several = isinstance(sysdata, list | tuple)
-    if several and not sysdata:
+    listed = sysdata if isinstance(sysdata, list | tuple) else [sysdata]
+    if not listed:
         raise StructureError("the list of systems is empty; give at least one")
-    systems = [as_system(sys) for sys in (sysdata if several else [sysdata])]
+    systems = [as_system(sys) for sys in listed]
     others = [not isinstance(sys, LosslessSystem) for sys in systems]
     if any(others):
         check_exact(method)
@@ -412,7 +418,7 @@ def _each(
     t = _instants(known, timepts, samples) if known else instants_of(systems, timepts, samples)
     runs = [of_other if other else run for other in others]
     responses = [each(sys, t.copy()) for each, sys in zip(runs, systems, strict=True)]
-    return TimeResponseList(responses) if several else responses[0]
+    return TimeResponseList(responses) if listed is sysdata else responses[0]
 
 
 def _visible(sys: LosslessSystem) -> ComplexArray:
@@ -423,8 +429,8 @@ def _visible(sys: LosslessSystem) -> ComplexArray:
     return poles[poles != 0]
 
 
-def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) -> Array:
-    if isinstance(timepts, list | tuple) or np.ndim(timepts) > 0:
+def _instants(systems: list[LosslessSystem], timepts: ArrayLike | None, samples: int | None) -> Array:
+    if timepts is not None and (isinstance(timepts, list | tuple) or np.ndim(timepts) > 0):
         return _checks.real_array("the time vector", timepts, 1)
     tfinal = None if timepts is None else _checks.sampling_step(timepts, name="the last instant")
     if samples is not None:
@@ -437,15 +443,15 @@ def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) 
 class _TraceLayout:
     """Inputs and outputs of a response that are shown, and the order and number of its axes as in python-control."""
 
-    input: Any
-    output: Any
+    input: object
+    output: object
     transpose: bool
     squeeze: bool | None
     return_states: bool
 
 
 def _traces(
-    sys: LosslessSystem, t: Array, drive: Callable[[int], tuple[Array, Any]], kind: str, layout: _TraceLayout,
+    sys: LosslessSystem, t: Array, drive: Callable[[int], tuple[Array, ArrayLike]], kind: str, layout: _TraceLayout,
     method: Discretisation, intersample: Interpolation,
 ) -> TimeResponseData:  # fmt: skip
     """Responses to one input at a time, as python-control lays them out."""
@@ -465,7 +471,7 @@ def _traces(
     )  # fmt: skip
 
 
-def _selected(kind: str, index: Any, count: int) -> tuple[slice, bool]:
+def _selected(kind: str, index: object, count: int) -> tuple[slice, bool]:
     """Which inputs or outputs to show, and whether one was chosen: a number, or a list of one as python-control."""
     if index is None:
         return slice(None), False
@@ -475,13 +481,13 @@ def _selected(kind: str, index: Any, count: int) -> tuple[slice, bool]:
     return slice(int(chosen), int(chosen) + 1), True
 
 
-def _chosen(kind: str, index: Any, count: int) -> int | None:
+def _chosen(kind: str, index: object, count: int) -> int | None:
     """The number of an input or output to show; None for all."""
     picked, single = _selected(kind, index, count)
     return picked.start if single else None
 
 
-def _input_signal(inputs: Any, ports: int, samples: int, transpose: bool) -> Array:
+def _input_signal(inputs: ArrayLike, ports: int, samples: int, transpose: bool) -> Array:
     u = _checks.real_array("the input", inputs)
     if u.ndim == 0:
         return np.full((ports, samples), float(u))
@@ -496,7 +502,7 @@ def _input_signal(inputs: Any, ports: int, samples: int, transpose: bool) -> Arr
     return u
 
 
-def _initial_state(value: Any, size: int) -> Array:
+def _initial_state(value: ArrayLike, size: int) -> Array:
     z = _checks.real_array("the initial state", value)
     if z.ndim == 0:
         return np.full(size, float(z))
@@ -513,7 +519,7 @@ class _Problem:
         sys: LosslessSystem,
         t: Array,
         u: Array,
-        initial_state: Any,
+        initial_state: ArrayLike,
         method: Discretisation,
         intersample: Interpolation,
     ) -> None:  # fmt: skip
@@ -562,14 +568,14 @@ class _Response(TimeResponseData):
                 self.x  # noqa: B018  # asked for
 
     @property
-    def x(self) -> Any:
+    def x(self) -> Array | None:
         """States as computed."""
         if self._compute is not None:
             self._states, self._compute = self._compute(), None
         return self._states
 
     @x.setter
-    def x(self, value: Any) -> None:
+    def x(self, value: Array | None) -> None:
         self._states, self._compute = value, None
 
     def __copy__(self) -> _Response:

@@ -28,7 +28,7 @@ _MODAL = (
 )  # fmt: skip
 
 
-def strict(value: Any, indent: int | None = 2) -> str:
+def strict(value: object, indent: int | None = 2) -> str:
     """JSON of arrays, tuples and complex numbers (`[re, im]`); null where a number is not finite."""
     from ..io.json_format import plain
 
@@ -80,7 +80,7 @@ def fit_of(result: phc.PEMResult) -> dict[str, Any]:
     return answer
 
 
-def _fields(thing: Any, *names: str) -> dict[str, Any]:
+def _fields(thing: object, *names: str) -> dict[str, Any]:
     return {name: getattr(thing, name) for name in names}
 
 

@@ -97,7 +97,7 @@ def port_numbers(sys: PortHamiltonian, ports: Any, *, repeated: bool = False) ->
 
 
 def feedback(
-    sys: PortHamiltonian, gain: ArrayLike | PortHamiltonian, ports: Any
+    sys: PortHamiltonian, gain: ArrayLike | PortHamiltonian, ports: object
 ) -> tuple[PortHamiltonian | Array, list[int]]:
     """A gain or controller that takes energy, and the numbers of its ports."""
     port_indices = port_numbers(sys, ports, repeated=isinstance(gain, PortHamiltonian))

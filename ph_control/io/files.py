@@ -49,13 +49,13 @@ def as_path(name: Any) -> Path:
     return path
 
 
-def source_name(source: Any) -> str:
+def source_name(source: object) -> str:
     """Name of what is read, for errors and titles: that of the file, also of one that is open already."""
     name = getattr(source, "name", "the stream") if hasattr(source, "read") else source
     return printable(os.fsdecode(name) if isinstance(name, bytes) else str(name), one_line=True)
 
 
-def read_bytes(source: Any) -> bytes:
+def read_bytes(source: object) -> bytes:
     """Content of a file: of that name, or open already, for bytes or for text."""
     if hasattr(source, "read"):
         try:

@@ -249,7 +249,7 @@ def _columns_of(table: Table, given: Mapping[str, Any]) -> tuple[int, list[NDArr
     return int(columns["frequency"][0, 0]), parts, pair == _POLAR
 
 
-def _entries(table: Table, role: str, given: Any) -> NDArray[np.intp]:
+def _entries(table: Table, role: str, given: object) -> NDArray[np.intp]:
     """Columns of one role for each entry of the response, shape (p, m); empty where there are none."""
     if given is None:
         place = table.only(_labelled(table.labels or (), role), role)

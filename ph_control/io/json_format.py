@@ -39,7 +39,7 @@ def _spelt(value: float) -> str | None:
     return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
 
 
-def plain(value: Any, spelt: Callable[[float], str | None] = _spelt, *, long: float = np.inf) -> Any:
+def plain(value: object, spelt: Callable[[float], str | None] = _spelt, *, long: float = np.inf) -> Any:
     """Turn arrays, numpy scalars, tuples and complex numbers into what JSON has.
 
     `spelt` says what is not finite; from `long` numbers on an array is its bytes.
@@ -69,12 +69,12 @@ def compose(kind: str, data: dict[str, Any]) -> str:
     return _pretty(document) + "\n"
 
 
-def _checksum(kind: str, data: Any) -> str:
+def _checksum(kind: str, data: object) -> str:
     canonical = json.dumps([kind, data], sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(canonical.encode()).hexdigest()
 
 
-def _pretty(value: Any, indent: str = "") -> str:
+def _pretty(value: object, indent: str = "") -> str:
     """JSON with a line for each field and each row of numbers."""
     inner = indent + "  "
     if isinstance(value, dict) and value:
@@ -161,7 +161,7 @@ class Fields:
         self.seen.add(key)
         return self.content[key]
 
-    def error(self, key: str, value: Any, needed: str) -> FileFormatError:
+    def error(self, key: str, value: object, needed: str) -> FileFormatError:
         """Error about one field."""
         return FileFormatError(f"{self.place}: {key} is {_describe(value)}, expected {needed}")
 
@@ -264,7 +264,7 @@ class Fields:
             )
 
 
-def _describe(value: Any) -> str:
+def _describe(value: object) -> str:
     if value is None:
         return "null"
     if isinstance(value, list | dict):

@@ -237,7 +237,7 @@ class _Hdf5:
         """Whether an array holds references to others."""
         return self.h5py.check_ref_dtype(node.dtype) is self.h5py.Reference
 
-    def target(self, reference: Any, depth: int) -> Any:
+    def target(self, reference: object, depth: int) -> Any:
         """What a reference refers to; an empty one to nothing."""
         return self.value(self.file[reference], depth + 1) if reference else np.zeros((0, 0))
 

@@ -228,7 +228,7 @@ class _Variables:
         if not any(isinstance(value, np.ndarray) for value in self._found.values()):
             raise FileFormatError(f"{name} holds no arrays of numbers; save the measurement as arrays")
 
-    def named(self, role: str, wanted: Any) -> list[tuple[str, Array, int | None]]:
+    def named(self, role: str, wanted: object) -> list[tuple[str, Array, int | None]]:
         """Name, array of at least two dimensions, and column if one was asked for."""
         names = [wanted] if isinstance(wanted, str) else wanted
         if not isinstance(names, list | tuple) or not names or not all(isinstance(text, str) for text in names):
@@ -254,7 +254,7 @@ class _Variables:
             raise StructureError(f"{self.name}: {bare} has shape {value.shape}, and no column {column}, counted from 0")
         return bare, value, column
 
-    def time(self, wanted: Any, step: float | None) -> Array | None:
+    def time(self, wanted: object, step: float | None) -> Array | None:
         """Instants, or None where a step takes their place."""
         instants = None if wanted is False else wanted
         if wanted is None and step is None:
@@ -276,7 +276,7 @@ def _flat(fields: Mapping[str, Any], before: str) -> Iterator[tuple[str, Any]]:
         yield from _inside(f"{before}{printable(key, one_line=True)}", value)
 
 
-def _inside(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+def _inside(name: str, value: object) -> Iterator[tuple[str, Any]]:
     if isinstance(value, Mapping):
         yield from _flat(value, f"{name}.")
     elif isinstance(value, Elements):
@@ -289,7 +289,7 @@ def _inside(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield name, value
 
 
-def _kind(value: Any) -> str:
+def _kind(value: object) -> str:
     if isinstance(value, np.ndarray):
         return "empty"
     return value if isinstance(value, str) and value.startswith(("a ", "an ")) else "a text"
@@ -325,7 +325,7 @@ def _channels(variables: list[tuple[str, Array, int | None]], count: int | None,
     return labels, rows
 
 
-def _entries(value: Any, count: int, label: str, name: str) -> ComplexArray:
+def _entries(value: object, count: int, label: str, name: str) -> ComplexArray:
     """Response as outputs x inputs x frequencies."""
     array = np.asarray(value, complex)
     if array.ndim == 3 and array.shape[2] == count:

@@ -102,7 +102,7 @@ def _of_table(table: Table, given: Mapping[str, Any]) -> TimeResponseData:
     return recording_in(table, *(given.get(key) for key in (*_IN_TIME, "time_unit")))
 
 
-def _dotted(names: Any) -> Any:
+def _dotted(names: object) -> Any:
     """Names of variables with a dot, as `read_mat` takes them, for paths of HDF5."""
     if isinstance(names, list | tuple):
         return [_dotted(name) for name in names]
@@ -138,7 +138,7 @@ def measured(source: Any, options: Mapping[str, Any]) -> tuple[list[Any], Any]:
     return [read_frequency_mat(source, given["frequency"], output, frequency_unit=unit)], None
 
 
-def _in_table(source: Any, given: Mapping[str, Any]) -> tuple[list[Any], Any]:
+def _in_table(source: object, given: Mapping[str, Any]) -> tuple[list[Any], Any]:
     options = TextOptions(*(given.get(key) for key in _IN_TEXT))
     given_keys, contrary = ([key for key in keys if key in given] for keys in (_IN_FREQUENCY, _IN_TIME))
     wanted = None if contrary else are_labels_of_response

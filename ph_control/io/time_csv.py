@@ -117,7 +117,9 @@ def read_csv(
     return recording_in(read_table(read_bytes(path), source_name(path), options), input, output, time, dt, time_unit)
 
 
-def recording_in(table: Table, input: Any, output: Any, time: Any, dt: Any, time_unit: Any) -> TimeResponseData:
+def recording_in(
+    table: Table, input: Any, output: Any, time: object, dt: object, time_unit: object
+) -> TimeResponseData:
     """Recording that a table holds; the arguments are those of `read_csv`."""
     step, unit = None if dt is None else _checks.sampling_step(dt), checked_unit(time_unit)
     if step is None and time in (None, False) and table.step is not None:
@@ -174,7 +176,7 @@ def complete_grid(instants: Array, u: Any, inputs: Sequence[str], path: str) -> 
     return np.asarray(instants[0] + printed_step(instants) * np.arange(len(instants)))
 
 
-def _time_column(table: Table, time: Any, step: float | None) -> int | None:
+def _time_column(table: Table, time: object, step: float | None) -> int | None:
     """Number of the time column, or None where `dt` takes its place."""
     if time is not None and time is not False:
         return table.find(time, "time")
@@ -242,7 +244,7 @@ def _proposed_signals(table: Table, rest: list[int], missing: list[str]) -> str:
     return "; for example " + ", ".join(f"{role}={proposed[role]!r}" for role in missing if role in proposed)
 
 
-def _chosen(table: Table, wanted: Any, role: str) -> list[int] | None:
+def _chosen(table: Table, wanted: object, role: str) -> list[int] | None:
     if wanted is None:
         return None
     if isinstance(wanted, list | tuple):

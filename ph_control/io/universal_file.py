@@ -159,7 +159,7 @@ def read_uff(
     return data_sets
 
 
-def _labels(role: str, given: Any) -> list[str] | None:
+def _labels(role: str, given: object) -> list[str] | None:
     if given is None:
         return None
     labels = [given] if isinstance(given, str) else given

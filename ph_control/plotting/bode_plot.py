@@ -67,7 +67,7 @@ def bode_plot(
     data: ct.TimeResponseData | ct.FrequencyResponseData | None = None,
     segments: int = 8,
     intersample: ResponseInterpolation = "zoh",
-    confidence: Any = None,
+    confidence: object = None,
     level: float = 0.95,
     omega_limits: ArrayLike | None = None,
     omega_num: int | None = None,
@@ -254,14 +254,14 @@ def _draw_margins(
 def bode_data(
     sysdata: Any,
     omega: ArrayLike | None = None,
-    data: Any = None,
+    data: object = None,
     *,
     segments: int = 8,
     intersample: ResponseInterpolation = "zoh",
     omega_limits: ArrayLike | None = None,
     omega_num: int | None = None,
     unit: float = 1.0,
-    confidence: Any = None,
+    confidence: object = None,
     level: float = 0.95,
     label: str | Sequence[str] | None = None,
     data_label: str | None = None,
@@ -293,7 +293,7 @@ def bode_data(
 
 
 def _measurement(
-    data: Any, sys: Any, segments: int, intersample: ResponseInterpolation, label: str | None
+    data: object, sys: Any, segments: int, intersample: ResponseInterpolation, label: str | None
 ) -> Curve | None:
     """The dots: a frequency response as it is, or the spectral estimate of a record."""
     if data is None:
@@ -368,7 +368,7 @@ def _known_band(measured: Curve | None, subjects: list[Subject]) -> tuple[float,
 
 
 def _frequencies(
-    extents: Array, known: tuple[float, float] | None, omega: Any, omega_limits: Any, unit: float
+    extents: Array, known: tuple[float, float] | None, omega: object, omega_limits: Any, unit: float
 ) -> tuple[Array | None, float, float]:
     """Frequencies asked for, if any, and the ends of the axis, all in rad per unit time."""
     given = None if omega is None else _ascending("omega", omega)

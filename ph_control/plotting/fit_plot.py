@@ -142,7 +142,7 @@ def comparison_plot(
     time_unit: str | None = None,
     output_label: str = "Output",
     output_unit: str | None = None,
-    detail: Any = "auto",
+    detail: object = "auto",
     heading: str,
     ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
@@ -187,7 +187,7 @@ class Outputs:
         """Some of the samples."""
         return Outputs(self.time[part], self.measured[part], self.predicted[:, part], self.labels)
 
-    def part(self, detail: Any, ax: AxesGiven) -> slice | None:
+    def part(self, detail: object, ax: AxesGiven) -> slice | None:
         """Samples to enlarge; with axes of one's own, only if there is one for them."""
         if detail is None or (ax is not None and np.asarray(ax, object).size == 2):
             return None

@@ -75,7 +75,7 @@ MODEL_LINE: dict[str, Any] = {"color": "C0", "linewidth": 1.2, "zorder": 3}
 
 def frf_plot(
     model: Any,
-    data: Any = None,
+    data: object = None,
     *,
     outputs: Sequence[int | str] | None = None,
     inputs: Sequence[int | str] | None = None,
@@ -186,7 +186,7 @@ def frf_plot(
 
 def nyquist_plot(
     model: Any,
-    data: Any = None,
+    data: object = None,
     *,
     outputs: Sequence[int | str] | None = None,
     inputs: Sequence[int | str] | None = None,
@@ -283,7 +283,7 @@ class ModelSource:
     nyquist: float = np.inf
 
 
-def model_source(given: Any) -> ModelSource:
+def model_source(given: object) -> ModelSource:
     """Response of a result, a modal form, or a linear system."""
     if hasattr(given, "residues") and hasattr(given, "poles") and not isinstance(given, ModalForm | ct.lti.LTI):
         return _source_of_fractions(given)
@@ -335,7 +335,7 @@ def _source_of_fractions(given: Any) -> ModelSource:
     return ModelSource(response, _upper(poles), (len(D), len(D.T)), *names, fit_name(poles))
 
 
-def _names_of(given: Any, kind: str, count: int) -> list[str]:
+def _names_of(given: object, kind: str, count: int) -> list[str]:
     """Names of the channels of a result, as it or its data have them."""
     for source in (given, *measurements_of(given, None), getattr(given, "system", None)):
         for name in (f"{kind}_labels", f"{kind}_label"):
@@ -357,7 +357,7 @@ def _upper(poles: Any) -> ComplexArray:
     return np.asarray(poles[np.argsort(np.abs(poles), kind="stable")])
 
 
-def measured_by(model: Any, data: Any, source: ModelSource, segments: int, intersample: str | None) -> list[Curve]:
+def measured_by(model: Any, data: object, source: ModelSource, segments: int, intersample: str | None) -> list[Curve]:
     """What was measured: responses as they are, one estimate of all recordings."""
     hold = getattr(model, "intersample", "zoh") if intersample is None else intersample
     _checks.choice("intersample", hold, RESPONSE_INTERPOLATIONS)
@@ -436,7 +436,7 @@ def _refuse_shape(measured: tuple[int, ...], shape: tuple[int, int]) -> None:
 
 
 def frf_data(
-    model: Any, data: Any = None, *, outputs: Any = None, inputs: Any = None, omega_limits: Any = None,
+    model: Any, data: object = None, *, outputs: Any = None, inputs: Any = None, omega_limits: Any = None,
     Hz: bool | None = None, segments: int = 8, intersample: str | None = None, confidence: bool = False,
     level: float = 0.95, time_unit: str | None = None, gain_unit: Any = None, scale: str | None = None,
 ) -> tuple[DrawnResponses, list[str | None]]:  # fmt: skip
@@ -483,7 +483,7 @@ def frf_data(
 
 
 def gain_units(
-    given: Any, sources: Sequence[Any], shape: tuple[int, int], rows: Indices, columns: Indices
+    given: object, sources: Sequence[Any], shape: tuple[int, int], rows: Indices, columns: Indices
 ) -> list[str | None]:
     """Unit of the responses of each output: as given, or as the names of the first of model and measurements tell."""
     if given is not None:
@@ -540,7 +540,7 @@ def _share(what: str, chosen: Indices, count: int) -> str:
     return f"{len(chosen)} of {count} {what}"
 
 
-def _limits(source: ModelSource, measured: list[Curve], given: Any, unit: float) -> tuple[float, float]:
+def _limits(source: ModelSource, measured: list[Curve], given: object, unit: float) -> tuple[float, float]:
     """Ends of the axis: those given, those of tables, or of the poles as far as recordings reach."""
     if given is not None:
         low, high = checked_limits(given)

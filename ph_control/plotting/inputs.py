@@ -38,19 +38,19 @@ class Subject:
         return in_normal_form(self.system)
 
 
-def as_list(given: Any, what: str = "") -> list[Any]:
+def as_list(given: object, what: str = "") -> list[Any]:
     """One thing or several, as a list; of `what` there must be one at least."""
     if what and isinstance(given, list | tuple) and not given:
         raise StructureError(f"the list of {what} is empty; give at least one")
     return list(given) if isinstance(given, list | tuple) else [given]
 
 
-def is_fit(given: Any) -> bool:
+def is_fit(given: object) -> bool:
     """Whether this is the result of a fit, which has experiments and the models of a band."""
     return hasattr(given, "experiments") and hasattr(given, "confidence_interval")
 
 
-def as_measured(given: Any, response: ComplexArray, omega: Array) -> ComplexArray:
+def as_measured(given: object, response: ComplexArray, omega: Array) -> ComplexArray:
     """Response (p, m, K) of a model as it was measured: of a result on its background, and with its delays.
 
     Of a fit to responses that were estimated with a window, what the window makes of it.
@@ -64,13 +64,13 @@ def as_measured(given: Any, response: ComplexArray, omega: Array) -> ComplexArra
     return response * np.exp(-1j * np.multiply.outer(late, omega)) if late.any() else response
 
 
-def lateness_of(given: Any) -> Array:
+def lateness_of(given: object) -> Array:
     """Time (p, m) by which outputs answer late to inputs: of a result its delays, (1, 1) and 0 of anything else."""
     outputs, inputs = (np.asarray(getattr(given, name, np.zeros(1)), float) for name in ("delay", "input_delay"))
     return np.add.outer(outputs, inputs)
 
 
-def measurements_of(model: Any, data: Any) -> list[Any]:
+def measurements_of(model: Any, data: object) -> list[Any]:
     """Measurements that were given, or else those that a result was fitted to."""
     if data is None:
         return [getattr(experiment, "record", experiment) for experiment in getattr(model, "experiments", ())]
@@ -182,7 +182,7 @@ def title_of(kind: str, subjects: list[Subject], relabelled: bool) -> str:
     return title if 0 < len(named) == len(subjects) <= 3 and len(title) <= _TITLE else kind
 
 
-def models_around(confidence: Any, subjects: list[Subject], *bands: str) -> list[Any]:
+def models_around(confidence: object, subjects: list[Subject], *bands: str) -> list[Any]:
     """For each system the models drawn around it, or None: they have methods with the names `bands`.
 
     `confidence` belongs to the first system, a list to all of them, True to each that is the result of a fit.

@@ -180,7 +180,7 @@ def shape_plot(
 
 def mac_plot(
     shapes: Any,
-    other: Any = None,
+    other: object = None,
     *,
     label: Sequence[str] | None = None,
     time_unit: str | None = None,
@@ -258,7 +258,7 @@ def mac_plot(
 
 def circle_plot(
     model: Any,
-    data: Any = None,
+    data: object = None,
     *,
     modes: Sequence[int] | None = None,
     output: int | str | None = None,
@@ -359,7 +359,7 @@ class ShapeTable:
 
 
 def shape_table(
-    given: Any, *, poles: Any = None, level: float = 0.95, time_unit: str | None = None
+    given: object, *, poles: Any = None, level: float = 0.95, time_unit: str | None = None
 ) -> ShapeTable:  # fmt: skip
     """Numbers of `shape_plot` and `mac_plot`: those of a result or a modal form, or an array and its poles."""
     _checks.level("level", level)
@@ -406,7 +406,7 @@ def over_inputs(given: Any) -> ComplexArray | None:
     return np.asarray(b * (2j * p.imag / p ** DERIVATIVES[quantities[0]])[:, None])
 
 
-def _checked_shapes(given: Any) -> ComplexArray:
+def _checked_shapes(given: object) -> ComplexArray:
     try:
         c = np.array(given, dtype=complex)
     except (TypeError, ValueError, OverflowError):
@@ -571,7 +571,7 @@ def _entry(every: ComplexArray, output: Any, input: Any, source: ModelSource) ->
     return int(rows[i]), int(columns[j])
 
 
-def _modes_to_draw(given: Any, source: ModelSource) -> Indices:
+def _modes_to_draw(given: object, source: ModelSource) -> Indices:
     """Numbers of the modes: those asked for, or the first twelve that are damped and oscillate."""
     p = source.poles
     if given is not None:

@@ -50,9 +50,9 @@ _ENVELOPE: dict[str, Any] = {"linewidth": 0.6, "zorder": 1.2, "hatch": "////"}
 
 def step_plot(
     sysdata: Any, timepts: ArrayLike | None = None, *, timepts_num: int | None = None,
-    data: ct.TimeResponseData | None = None, confidence: Any = None, level: float = 0.95, time_unit: str | None = None,
-    output_unit: str | None = None, label: str | Sequence[str] | None = None, data_label: str | None = None,
-    ax: AxesGiven = None, **style: Unpack[LineStyle],
+    data: ct.TimeResponseData | None = None, confidence: object = None, level: float = 0.95,
+    time_unit: str | None = None, output_unit: str | None = None, label: str | Sequence[str] | None = None,
+    data_label: str | None = None, ax: AxesGiven = None, **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:  # fmt: skip
     """Responses to a unit step, in which no motion is lost between samples.
 
@@ -124,9 +124,9 @@ def step_plot(
 
 def impulse_plot(
     sysdata: Any, timepts: ArrayLike | None = None, *, timepts_num: int | None = None,
-    data: ct.TimeResponseData | None = None, confidence: Any = None, level: float = 0.95, time_unit: str | None = None,
-    output_unit: str | None = None, label: str | Sequence[str] | None = None, data_label: str | None = None,
-    ax: AxesGiven = None, **style: Unpack[LineStyle],
+    data: ct.TimeResponseData | None = None, confidence: object = None, level: float = 0.95,
+    time_unit: str | None = None, output_unit: str | None = None, label: str | Sequence[str] | None = None,
+    data_label: str | None = None, ax: AxesGiven = None, **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:  # fmt: skip
     """Responses to a unit impulse, in which no motion is lost between samples.
 
@@ -256,7 +256,7 @@ def transient_data(
     timepts: ArrayLike | None = None,
     timepts_num: int | None = None,
     *,
-    confidence: Any = None,
+    confidence: object = None,
     level: float = 0.95,
     data: ct.TimeResponseData | None = None,
     label: str | Sequence[str] | None = None,
@@ -289,7 +289,7 @@ def transient_data(
     return TransientData(traces, measured, end, first.input_labels, outputs, title)
 
 
-def _measured(data: Any, sys: Any, kind: str, label: str | None) -> Trace:
+def _measured(data: object, sys: Any, kind: str, label: str | None) -> Trace:
     if not isinstance(data, ct.TimeResponseData):
         raise StructureError(f"data is a {type(data).__name__}; pass the measured response as control.TimeResponseData")
     # one trace for each input, as control.step_response has it

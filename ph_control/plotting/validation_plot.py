@@ -135,7 +135,7 @@ def channel_comparison_plot(
     Hz: bool | None = None,
     scale: str | None = None,
     gain_unit: str | None = None,
-    detail: Any = "auto",
+    detail: object = "auto",
     heading: str,
     ax: AxesGiven = None,
     **style: Unpack[FrameStyle],
@@ -336,7 +336,7 @@ def _draw_criteria(axis: Axes, orders: Indices, criteria: Mapping[str, Array]) -
 
 def stabilisation_plot(
     poles: Any,
-    data: Any = None,
+    data: object = None,
     *,
     orders: ArrayLike | None = None,
     chosen: int | None = None,
@@ -543,7 +543,7 @@ def _output_spectra(y: Array, step: float) -> tuple[Array, Array]:
 
 
 def _frequency_ends(
-    table: StabilisationData, behind: list[tuple[Array, Array, str]], given: Any, unit: float, logarithmic: bool,
+    table: StabilisationData, behind: list[tuple[Array, Array, str]], given: object, unit: float, logarithmic: bool,
     marked: int | None,
 ) -> tuple[float, float]:  # fmt: skip
     """Ends of the axis: those given, or around the poles of the marked order, else that are stable, as data reach."""

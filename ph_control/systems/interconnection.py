@@ -159,7 +159,7 @@ def gyrator(
     return _looped(_side_by_side(members), F, np.eye(len(F)), names=names)
 
 
-def feedback(first: PortHamiltonian, other: Any) -> PortHamiltonian | None:
+def feedback(first: PortHamiltonian, other: object) -> PortHamiltonian | None:
     """Negative feedback of a PH system through another, or through a matrix `K + K^T >= 0`; None where it is not PH."""
     m = first.ninputs
     second = _partner(first, other, np.eye(m))
@@ -181,7 +181,7 @@ def through_ports(
     return _looped(_side_by_side([first, other]), F, np.eye(m + k)[:, :m], kept=m, names=names)
 
 
-def parallel(first: PortHamiltonian, other: Any) -> PortHamiltonian | None:
+def parallel(first: PortHamiltonian, other: object) -> PortHamiltonian | None:
     """Sum of a PH system and another, or a matrix `K + K^T >= 0`; None where it is not PH."""
     m = first.ninputs
     second = _partner(first, other, np.ones((m, m)))
@@ -555,7 +555,7 @@ def _member(system: object) -> PortHamiltonian:
     return system
 
 
-def _partner(first: PortHamiltonian, other: Any, spread: Array) -> PortHamiltonian | Array | None:
+def _partner(first: PortHamiltonian, other: object, spread: Array) -> PortHamiltonian | Array | None:
     """System or gain with as many ports as the first; None where their connection is not port-Hamiltonian."""
     m = first.ninputs
     if first.noutputs != m:
@@ -565,7 +565,7 @@ def _partner(first: PortHamiltonian, other: Any, spread: Array) -> PortHamiltoni
     return _gain(other, m, spread)
 
 
-def _gain(value: Any, m: int, spread: Array) -> Array | None:
+def _gain(value: object, m: int, spread: Array) -> Array | None:
     """Matrix of a constant gain that makes no energy, of a number times `spread`; None where it is none such."""
     if _checks.is_number(value):
         value = np.array(float(value))
@@ -601,7 +601,7 @@ def _pairs(members: Sequence[PortHamiltonian], ports: Ports, ratio: ArrayLike) -
     return pairs, np.broadcast_to(ratios, len(pairs))
 
 
-def _port(system: PortHamiltonian, port: Any, which: str) -> int:
+def _port(system: PortHamiltonian, port: object, which: str) -> int:
     try:
         return _checks.signal_number("input", port, system.input_labels)
     except StructureError as error:

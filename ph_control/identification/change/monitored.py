@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from ... import _checks
 from ..._options import TestedParameters
 from ..._threads import on_one_thread
@@ -16,7 +14,7 @@ class Monitored:
     """Comparison of a result with a later one, and its test on a later record."""
 
     def compare(
-        self, other: Any, *, frequency_tolerance: float = 0.1, least_mac: float = 0.5, level: float = 0.05
+        self, other: object, *, frequency_tolerance: float = 0.1, least_mac: float = 0.5, level: float = 0.05
     ) -> ModeComparison:
         """Pair the modes of this fit with those of a later one, and hold their shifts against the errors of both.
 
@@ -74,7 +72,7 @@ class Monitored:
 
     @on_one_thread
     def changed(
-        self, data: Any, *, parameters: TestedParameters = "all", level: float = 0.05, dt: float | None = None
+        self, data: object, *, parameters: TestedParameters = "all", level: float = 0.05, dt: float | None = None
     ) -> ChangeTest:  # fmt: skip
         """Test whether a new record is one of the same plant, without a fit.
 

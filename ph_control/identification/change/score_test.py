@@ -226,7 +226,7 @@ class ChangeTest(Report, Frozen):
         return [f"{self.mode_statistic[l]:.4g}", str(self.mode_dof[l]), starred(self.mode_p[l], self.level)]
 
 
-def score_test(result: Any, data: Any, parameters: str, level: float, dt: float | None) -> ChangeTest:
+def score_test(result: Any, data: object, parameters: str, level: float, dt: float | None) -> ChangeTest:
     """Test the parameters of a result on a new record."""
     _checks.choice("parameters", parameters, TESTED_PARAMETERS)
     level = _checks.level("level", level)
@@ -247,7 +247,7 @@ def score_test(result: Any, data: Any, parameters: str, level: float, dt: float 
     return _judged(result, record, (parameters, level), Score(score, information, directions), tested, rest, covariance)
 
 
-def _new_record(result: Any, data: Any, dt: float | None) -> Recording:
+def _new_record(result: Any, data: object, dt: float | None) -> Recording:
     """The new record in the channels of a result."""
     fitted = result.experiments[0].record
     step = getattr(fitted, "dt", None) if dt is None else dt

@@ -267,7 +267,7 @@ def _listed(labels: Labels) -> str:
 @overload
 def several(data: Record | Recording) -> Recording: ...
 @overload
-def several(data: Any) -> Recording | ResponseMatrix: ...
+def several(data: object) -> Recording | ResponseMatrix: ...
 def several(data: Any) -> Recording | ResponseMatrix:
     """The same data as a `Recording` or `ResponseMatrix`, which may have several channels.
 
@@ -282,7 +282,7 @@ def several(data: Any) -> Recording | ResponseMatrix:
     return Recording(data.clock, data.dt, data.u[None][: int(data.driven)], data.y[None], **named)
 
 
-def recording_of_pair(u: Any, y: Any, dt: Any, output_needed: bool = True) -> Recording:
+def recording_of_pair(u: Any, y: Any, dt: object, output_needed: bool = True) -> Recording:
     """Recording of signals (T,) or (channels, T); of a free motion without `u`, of no known output without `y`."""
     inputs = [] if u is None else _signals("input", u)
     if y is None and not len(inputs):
@@ -296,7 +296,7 @@ def recording_of_pair(u: Any, y: Any, dt: Any, output_needed: bool = True) -> Re
     return recording(None, step, inputs, outputs, _numbered("u", len(inputs)), _numbered("y", len(outputs)))
 
 
-def recordings_of_response(data: TimeResponseData, dt: Any) -> tuple[Recording, ...]:
+def recordings_of_response(data: TimeResponseData, dt: object) -> tuple[Recording, ...]:
     """One recording for each trace."""
     refuse_short(len(data.time))
     time, step = uniform_time("the time of the record", data.time, dt)
@@ -405,7 +405,7 @@ class Sampling:
             window = (*window, blocks)
         return Sampling(window, step or self.dt, hold)
 
-    def of(self, data: Any, omega: Array) -> SpectralWindow | None:
+    def of(self, data: object, omega: Array) -> SpectralWindow | None:
         """The window at some frequencies."""
         if self.window is None:
             if self.dt is not None:
@@ -426,7 +426,7 @@ class Sampling:
 NO_SAMPLING = Sampling()
 
 
-def response_matrix(data: FrequencyResponseData, weights: Any, sampling: Sampling = NO_SAMPLING) -> ResponseMatrix:
+def response_matrix(data: FrequencyResponseData, weights: object, sampling: Sampling = NO_SAMPLING) -> ResponseMatrix:
     """Check a frequency response, and sort it by frequency; one of samples is divided by that of their hold."""
     sampling = sampling.stated_by(data)
     omega, response = checked_points(data, windowed=sampling.window is not None)

@@ -23,17 +23,17 @@ from .time_record import instants, refuse_contradiction, refuse_short, signal, u
 _SHOWN = 30  # labels of columns listed in a message
 
 
-def is_data_frame(data: Any) -> bool:
+def is_data_frame(data: object) -> bool:
     """Whether an object has the two things that are used of a data frame, or of a dataset of xarray."""
     return (hasattr(data, "columns") or hasattr(data, "data_vars")) and hasattr(type(data), "__getitem__")
 
 
 def recording(
-    frame: Any,
+    frame: object,
     input: Any = None,
     output: Any = None,
     *,
-    time: Any = None,
+    time: object = None,
     dt: float | None = None,
     fs: float | None = None,
     time_unit: str | None = None,
@@ -113,7 +113,7 @@ def recording(
     )
 
 
-def recording_of_frame(frame: Any, dt: Any = None, *, output_needed: bool = True) -> channels.Recording:
+def recording_of_frame(frame: object, dt: object = None, *, output_needed: bool = True) -> channels.Recording:
     """Recording of a data frame with columns of the time (or none, with `dt`), the input and the output, in that order.
 
     The time is its index, or recognised by its label as `phc.read_csv` does; of the two that remain the first is the
@@ -194,7 +194,7 @@ class _Table:
     def __getitem__(self, label: str) -> Any:
         return _column(self.frame, self.keys[label])
 
-    def clock(self, dt: Any, samples: int | None = None) -> tuple[float, float, str | None]:
+    def clock(self, dt: object, samples: int | None = None) -> tuple[float, float, str | None]:
         """First instant, step and unit of the time."""
         if self.time is None:
             return 0.0, _checks.sampling_step(dt), None
@@ -238,7 +238,7 @@ class _Table:
             chosen[role] = [label]
         return chosen["input"] or [], chosen["output"] or []
 
-    def _chosen(self, role: str, wanted: Any) -> list[str] | None:
+    def _chosen(self, role: str, wanted: object) -> list[str] | None:
         if wanted is None:
             return None
         chosen = []

@@ -39,7 +39,7 @@ _KINDS = (
 
 
 def as_experiments(
-    data: Any, dt: Any = None, *, weights: Any = None, output_needed: bool = True
+    data: object, dt: object = None, *, weights: object = None, output_needed: bool = True
 ) -> tuple[Record, ...] | tuple[FrequencyRecord, ...]:
     """Make checked experiments of data of any kind, all in time or all in frequency.
 
@@ -91,7 +91,7 @@ def as_experiments(
 
 
 def as_channels(
-    data: Any, dt: Any = None, *, weights: Any = None, window: Any = None, hold: ResponseHold = "auto",
+    data: object, dt: object = None, *, weights: object = None, window: Any = None, hold: ResponseHold = "auto",
     output_needed: bool = True,
 ) -> Channels:  # fmt: skip
     """Make checked experiments of several inputs and outputs, all in time or all in frequency.
@@ -184,7 +184,9 @@ def _each_experiment(data: Any, dt: Any, weights: Any, take: Callable[..., Itera
     return tuple(checked)
 
 
-def as_record(data: Any, dt: float | None = None, *, input_needed: bool = True, output_needed: bool = True) -> Record:
+def as_record(
+    data: object, dt: float | None = None, *, input_needed: bool = True, output_needed: bool = True
+) -> Record:
     """Make one record in time of data that `as_experiments` takes; a record is returned as it is."""
     records = (data,) if isinstance(data, Record) else as_experiments(data, dt, output_needed=output_needed)
     record = records[0]
@@ -211,28 +213,28 @@ def one_recording(data: Any, dt: Any, outputs: int) -> Recording:
 # --- one or several --------------------------------------------------------------------------------------------------
 
 
-def _is_object(data: Any) -> bool:
+def _is_object(data: object) -> bool:
     """Whether this can be nothing but one experiment."""
     return isinstance(data, CheckedData | TimeResponseData | FrequencyResponseData) or is_data_frame(data)
 
 
-def _is_signal(value: Any) -> bool:
+def _is_signal(value: object) -> bool:
     return hasattr(type(value), "__len__") and getattr(value, "ndim", 1) > 0
 
 
-def _is_pair(data: Any) -> bool:
+def _is_pair(data: object) -> bool:
     """Whether this is a tuple of two signals, any of which may be None; a tuple of two numbers is no pair."""
     return isinstance(data, tuple) and len(data) == 2 and all(values is None or _is_signal(values) for values in data)
 
 
-def _are_several(data: Any) -> bool:
+def _are_several(data: object) -> bool:
     """Whether a list or tuple is one of experiments, right or wrong, rather than the pair of two signals."""
     if not isinstance(data, list | tuple):
         return False
     return len(data) != 2 or any(_is_object(entry) for entry in data) or any(map(_is_pair, data))
 
 
-def _refuse_unknown(data: Any, listed: bool) -> None:
+def _refuse_unknown(data: object, listed: bool) -> None:
     """Refuse what is no experiment; one in a list is no list itself, since its signals could not be told from it."""
     if _is_object(data) or (isinstance(data, tuple if listed else list | tuple) and not _are_several(data)):
         return
@@ -250,7 +252,7 @@ def _refuse_unknown(data: Any, listed: bool) -> None:
 # --- one experiment --------------------------------------------------------------------------------------------------
 
 
-def _is_spectral(data: Any) -> bool:
+def _is_spectral(data: object) -> bool:
     return isinstance(data, FrequencyResponseData | FrequencyRecord | ResponseMatrix)
 
 
@@ -263,7 +265,7 @@ def _are_named(data: Any) -> bool:
     return all(response.output_labels and (response.input_labels or not response.ninputs) for response in responses)
 
 
-def _refuse_mixture(data: Any, weights: Any, first: Any, window: Any) -> None:
+def _refuse_mixture(data: object, weights: object, first: Any, window: Any) -> None:
     """Refuse what is no experiment, what is of another kind than the `first` of a list, and options of other kinds."""
     _refuse_unknown(data, listed=first is not None)
     spectral = _is_spectral(data)
@@ -318,7 +320,7 @@ def _experiment(
     return (recording_of_pair(u, y, dt, output_needed),)
 
 
-def _one_for_each(name: str, value: Any, count: int) -> Sequence[Any]:
+def _one_for_each(name: str, value: object, count: int) -> Sequence[Any]:
     """A value for each experiment: the one for all, or those of a sequence."""
     if not isinstance(value, list | tuple) and not (isinstance(value, np.ndarray) and value.ndim == 1):
         return count * [value]

@@ -46,7 +46,7 @@ def _tells(label: str) -> bool:
         return True
 
 
-def quantity_of(data: Any) -> Any:
+def quantity_of(data: object) -> Any:
     """Quantity of each output by its label, where the data or the labels state it; else 'velocity', as of a port."""
     quantities: dict[str, str] = {}
     silent: list[str] = []
@@ -72,7 +72,7 @@ def quantity_of(data: Any) -> Any:
     return quantities or "velocity"
 
 
-def ports_of(data: Any, quantity: Any) -> list[tuple[str, str]] | None:
+def ports_of(data: object, quantity: object) -> list[tuple[str, str]] | None:
     """Driving points (output, input) that the data state, less outputs of quantity 'free'; None if there are none."""
     stated = [getattr(experiment, "ports", None) for experiment in (data if isinstance(data, list | tuple) else [data])]
     pairs = dict.fromkeys(pair for ports in stated if isinstance(ports, list) for pair in ports if _is_pair(pair))
@@ -81,11 +81,11 @@ def ports_of(data: Any, quantity: Any) -> list[tuple[str, str]] | None:
     return driving_points or None
 
 
-def _is_pair(pair: Any) -> bool:
+def _is_pair(pair: object) -> bool:
     return isinstance(pair, tuple) and len(pair) == 2 and all(isinstance(label, str) for label in pair)
 
 
-def _output_labels(data: Any) -> list[str]:
+def _output_labels(data: object) -> list[str]:
     labels = getattr(data, "output_labels", None)
     if isinstance(labels, list | tuple):
         return [label for label in labels if isinstance(label, str)]
@@ -97,7 +97,7 @@ def _output_labels(data: Any) -> list[str]:
     return signals[1:] if len(signals) == 2 else []  # of more, which one is the output is still to be asked
 
 
-def checked_quantities(quantity: Any, labels: Sequence[str]) -> tuple[str, ...]:
+def checked_quantities(quantity: object, labels: Sequence[str]) -> tuple[str, ...]:
     """One quantity for each output, of one for all, a sequence, or a mapping by label, which the labels complete."""
     if isinstance(quantity, str):
         each: Any = [quantity] * len(labels)

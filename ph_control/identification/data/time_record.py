@@ -158,7 +158,7 @@ class Record(InTime):
         return with_unit(response, self.time_unit)
 
 
-def uniform_time(name: str, recorded: Any, dt: Any = None) -> tuple[Array, float]:
+def uniform_time(name: str, recorded: Any, dt: object = None) -> tuple[Array, float]:
     """Instants on a uniform grid, and their step, which does not depend on where the time begins.
 
     Far from its origin a time in doubles is coarse: the step is the shortest number that the instants allow.
@@ -169,7 +169,7 @@ def uniform_time(name: str, recorded: Any, dt: Any = None) -> tuple[Array, float
     return time, printed_step(time)
 
 
-def refuse_contradiction(dt: Any, step: float, name: str) -> None:
+def refuse_contradiction(dt: object, step: float, name: str) -> None:
     """Refuse a `dt` other than the step of a time that the data bring along."""
     if dt is None:
         return
@@ -202,7 +202,7 @@ def refuse_out_of_range(name: str, values: Array) -> None:
         )
 
 
-def signal(name: str, value: Any, *, missing: bool = False) -> Array:
+def signal(name: str, value: object, *, missing: bool = False) -> Array:
     """Take a vector of numbers; a single column or row counts as one.
 
     With `missing`, what is masked, None or NaN becomes NaN; otherwise it is refused with its place.
@@ -231,7 +231,7 @@ def signal(name: str, value: Any, *, missing: bool = False) -> Array:
     return array
 
 
-def stays_on_disk(value: Any) -> bool:
+def stays_on_disk(value: object) -> bool:
     """Whether an array is read from the disk block by block: of doubles, or of many numbers of single precision."""
     if not isinstance(value, np.memmap) or value.flags.writeable:
         return False
@@ -253,7 +253,7 @@ def _numbers(name: str, value: Any) -> RealOrComplex:
     return array if array.dtype.kind in "biuf" else _checks.real_array(name, array)
 
 
-def _unboxed(array: RealOrComplex, value: Any) -> RealOrComplex:
+def _unboxed(array: RealOrComplex, value: object) -> RealOrComplex:
     """Doubles of an array of Python numbers and marks of the missing; anything else is left for the check to refuse."""
     with suppress(TypeError, ValueError, OverflowError):
         if hasattr(value, "to_numpy"):
@@ -344,7 +344,7 @@ def stages(part: slice, samples: int) -> Iterator[slice]:
         yield part
 
 
-def cut(record: Any, part: slice) -> Any:
+def cut(record: object, part: slice) -> Any:
     """A part of a record, copied into memory as doubles if it is short; frequency responses are returned whole."""
     if not isinstance(record, InTime) or part == slice(0, record.samples):
         return record

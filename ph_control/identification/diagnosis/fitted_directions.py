@@ -49,7 +49,7 @@ def directions_of(data: Any, model: Any) -> Directions:
     return _of_record(data, model)
 
 
-def same_data(experiment: Any, other: Any) -> bool:
+def same_data(experiment: object, other: object) -> bool:
     """Whether two experiments hold the same data."""
     if experiment is other:
         return True

@@ -117,7 +117,7 @@ class Stabilisation(Report, Frozen):
         stable = int(self.stable[place[0]].sum()) if len(place) else 0
         return f"orders {self.orders[0]} to {self.orders[-1]}, {stable} of {self.order} modes stable"
 
-    def plot(self, data: Any = None, **kwargs: Any) -> ct.ControlPlot:
+    def plot(self, data: object = None, **kwargs: Any) -> ct.ControlPlot:
         """Stabilisation diagram, over the measured responses or the spectra of the outputs.
 
         Parameters

@@ -247,7 +247,7 @@ def _problem(record: Record, hold: Hold, from_rest: bool, quantity: str) -> Port
     return PortRecord(record.u, y, observed, hold, from_rest and record.driven, quantity, record.driven)
 
 
-def _is_lossless_port(order: Any) -> bool:
+def _is_lossless_port(order: object) -> bool:
     """Whether a model is that of lossless modes of one port, which have parameters `d` and `r` of their own."""
     if isinstance(order, tuple | list):
         return True
@@ -256,13 +256,13 @@ def _is_lossless_port(order: Any) -> bool:
     return bool(form.is_lossless and form.nports == 1 and not len(form.rigid) and len(form.d))
 
 
-def _refuse_other_hold(order: Any, method: Discretisation, intersample: Interpolation) -> None:
+def _refuse_other_hold(order: object, method: Discretisation, intersample: Interpolation) -> None:
     for name, value in (("method", method), ("intersample", intersample)):
         if (fitted := getattr(order, name, value)) != value:
             raise StructureError(f"the model was fitted with {name}={fitted!r}; pass that, or its modes alone")
 
 
-def _model(order: Any, method: Discretisation, intersample: Interpolation) -> ModalForm:
+def _model(order: object, method: Discretisation, intersample: Interpolation) -> ModalForm:
     """One-port oscillating modal form of whatever describes a model."""
     _refuse_other_hold(order, method, intersample)
     if isinstance(order, tuple | list):

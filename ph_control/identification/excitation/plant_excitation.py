@@ -223,7 +223,7 @@ def _reasons(report: PlantExcitation) -> Iterator[str]:
 
 
 def plant_excitation(
-    data: Any,
+    data: object,
     model: Any,
     dt: float | None,
     hold_of: tuple[Discretisation, Interpolation],
@@ -264,7 +264,7 @@ def _without_size(errors: Any) -> Any:
     return np.where(np.isinf(errors), errors, np.nan)
 
 
-def _matching(record: Any, plant: PlannedPlant) -> Recording:
+def _matching(record: object, plant: PlannedPlant) -> Recording:
     if not isinstance(record, Recording):
         raise StructureError(
             "the data are a frequency response; what an input shows is asked of records in time: pass (u, y) with dt"

@@ -207,7 +207,7 @@ class Resampled:
     """The bootstrap of a result."""
 
     @on_one_thread
-    def bootstrap(self: Any, k: int = 200, *, rng: RandomSource = None, workers: Any = 1) -> Bootstrap:
+    def bootstrap(self: Any, k: int = 200, *, rng: RandomSource = None, workers: object = 1) -> Bootstrap:
         """Refit to resampled noise: errors that do not rest on a normal distribution, nor on noise of one level.
 
         Each time the residuals of every experiment are drawn anew, with replacement, added to its prediction, and the

@@ -155,7 +155,7 @@ class GradientResult(Report, Frozen):
 
 
 def gradient_descent(
-    data: Any,
+    data: object,
     order: int,
     *,
     dt: float | None = None,
@@ -164,7 +164,7 @@ def gradient_descent(
     learning_rate: float = 0.1,
     epochs: int = 500,
     initial_guess: Any = None,
-    validation: Any = None,
+    validation: object = None,
     rng: RandomSource = None,
 ) -> GradientResult:
     """Learn a lossless model by gradient descent, as the paper does; a reference, use `pem` for work.

@@ -74,7 +74,7 @@ class Options:
         return self.max_order if isinstance(self.order, str) else self.order
 
 
-def _checked_order(order: Any, real_poles: int | str) -> int | str:
+def _checked_order(order: object, real_poles: int | str) -> int | str:
     """Check a number of modes: none only where a number of real poles is given."""
     if isinstance(order, str):
         if order != "auto":
@@ -138,7 +138,7 @@ def _checked_input_delay(value: Any, channels: Channels) -> Array | None:
     return times
 
 
-def request_of(channels: Channels, structure: str, ports: Any, quantity: Any, options: Options) -> Request:
+def request_of(channels: Channels, structure: str, ports: object, quantity: object, options: Options) -> Request:
     """Check structure, ports and quantities against the channels."""
     outputs, inputs = channels[0].output_labels, channels[0].input_labels
     quantities = checked_quantities(quantity, outputs)
@@ -163,7 +163,7 @@ def _lossless_port(structure: str, shape: tuple[int, int], quantities: tuple[str
     return "lossless"
 
 
-def starting_poles(guess: Any, channels: Channels, options: Options) -> ComplexArray | None:
+def starting_poles(guess: object, channels: Channels, options: Options) -> ComplexArray | None:
     """Poles to start from: those of a model, of positive imaginary part and real ones."""
     if guess is None:
         return None

@@ -288,7 +288,7 @@ def pem(
     return result
 
 
-def _otherwise_sampled(data: Any, channels: Channels, intersample: FittedInterpolation) -> tuple[ResponseHold, ...]:
+def _otherwise_sampled(data: object, channels: Channels, intersample: FittedInterpolation) -> tuple[ResponseHold, ...]:
     """How windowed responses that do not tell it may have been estimated otherwise."""
     every = data if isinstance(data, list | tuple) else [data]
     stated = any(getattr(part, "dt", None) or getattr(part, "intersample", None) for part in every)
@@ -307,7 +307,7 @@ def _plainness(result: PEMResult) -> tuple[bool, int, float]:
     return result.whiteness >= WHITE, -order, result.whiteness
 
 
-def _checked_model(model: Any, parameters: Any, bounds: Any, structure: str) -> ModelFunction | None:
+def _checked_model(model: Any, parameters: object, bounds: object, structure: str) -> ModelFunction | None:
     """A model function with its parameters; None without one."""
     if model is None:
         for name, value in (("parameters", parameters), ("bounds", bounds)):

@@ -720,7 +720,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         return windowed_response(self.window, frequencies, self.poles, halves, self.feedthrough)
 
     def predict(
-        self, data: Any, *, initial_state: ArrayLike | PredictedState | None = None, dt: float | None = None,
+        self, data: object, *, initial_state: ArrayLike | PredictedState | None = None, dt: float | None = None,
         horizon: int | None = None,
     ) -> ct.TimeResponseData:  # fmt: skip
         """Outputs of the model on another record, simulated or predicted some steps ahead.

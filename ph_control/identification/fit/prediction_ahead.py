@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import control as ct
 import numpy as np
@@ -24,7 +24,7 @@ _SAME_STEP = 0.01  # relative difference of steps that are the same, as of the i
 _SAME_STATES = 1e-6  # relative difference up to which two systems are one in other states
 
 
-def checked_horizon(value: Any) -> int | None:
+def checked_horizon(value: object) -> int | None:
     """Steps ahead of a prediction; None where it is a simulation, as without a horizon or with an infinite one."""
     if value is None or (isinstance(value, float) and value == np.inf):
         return None

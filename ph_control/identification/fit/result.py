@@ -136,7 +136,7 @@ class FittedModes(Report, Frozen):
         """
         return phase_collinearity(_compared_shapes(self))
 
-    def mac(self, other: Any) -> Array:
+    def mac(self, other: object) -> Array:
         """Modal assurance criterion `|c^H c'|^2 / (|c|^2 |c'|^2)` of the mode shapes of two results, from 0 to 1.
 
         Parameters

@@ -166,15 +166,15 @@ _WRITTEN = {"aic": "AIC", "aicc": "AICc", "bic": "BIC", "holdout": "hold-out"}
 
 @on_one_thread
 def order_selection(
-    data: Any,
+    data: object,
     orders: int | Sequence[int] | None = None,
     *,
-    dt: Any = None,
+    dt: object = None,
     holdout: float = 0.0,
     initial_guess: Any = None,
-    weights: Any = None,
+    weights: object = None,
     callback: Callback | None = None,
-    workers: Any = 1,
+    workers: object = 1,
     **options: Any,
 ) -> OrderSelection:
     """Look for one mode after the other, and show what speaks for each number of them.
@@ -320,7 +320,7 @@ def _losses_ahead(errors: dict[int, tuple[Array, Array]], orders: Sequence[int])
     return np.array(losses), samples
 
 
-def _wanted(orders: Any, path: FreePath) -> list[int]:
+def _wanted(orders: object, path: FreePath) -> list[int]:
     if orders is None:
         orders = max(1, min(_LARGEST, path.carried))
     if isinstance(orders, str) or not np.iterable(orders):

@@ -63,7 +63,7 @@ class RecordingFitted:
 def fit_many(
     recordings: Any,
     *,
-    workers: Any = 1,
+    workers: object = 1,
     store: str | os.PathLike[str] | None = None,
     callback: Callable[[RecordingFitted], Any] | None = None,
     reader: Callable[[Path], Any] | None = None,

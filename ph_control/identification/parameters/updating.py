@@ -156,7 +156,7 @@ class ModelUpdate(Report, Frozen):
 
 
 def update_model(
-    f: Any, theta0: Any, result: Any, *, bounds: Any = None, quantities: Sequence[ModalQuantity] | None = None,
+    f: Any, theta0: Any, result: Any, *, bounds: object = None, quantities: Sequence[ModalQuantity] | None = None,
     outputs: Any = None, modes: Any = None, prior: ArrayLike | None = None,
 ) -> ModelUpdate:  # fmt: skip
     """Parameters of a computed model that bring its modes to those of a fit, with errors.
@@ -400,7 +400,7 @@ def _beside(*blocks: Array) -> Array:
     return joined
 
 
-def _places(name: str, value: Any, count: int) -> Indices:
+def _places(name: str, value: object, count: int) -> Indices:
     try:
         places = np.asarray(value)
     except (TypeError, ValueError):

@@ -83,7 +83,7 @@ def intervals(
     )
 
 
-def tail_of(level: Any) -> float:
+def tail_of(level: object) -> float:
     """Probability on either side of a two-sided interval of the given level."""
     return 0.5 * (1 - _checks.level("level", level))
 
@@ -142,7 +142,7 @@ def draw(
     return draws
 
 
-def draws_from(k: Any, rng: Any) -> tuple[int, np.random.Generator]:
+def draws_from(k: object, rng: Any) -> tuple[int, np.random.Generator]:
     """Check how many draws are wanted, and from where."""
     return _checks.whole_number("k", k, 0, _MOST), _checks.random_generator(rng)
 

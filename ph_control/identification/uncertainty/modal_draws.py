@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -307,7 +306,7 @@ class ModalSamples(Draws):
         return (values(block[:, None, None], self.poles) for block in self._blocks(name, points, self.poles.size))
 
 
-def _complex_array(name: str, value: Any, ndim: int) -> ComplexArray:
+def _complex_array(name: str, value: object, ndim: int) -> ComplexArray:
     """Check finite complex numbers of so many dimensions."""
     try:
         array = np.array(value, complex)

@@ -260,14 +260,14 @@ class Comparison(Report, HeldData, Frozen):
 
 
 def compare(
-    data: Any,
+    data: object,
     *models: Any,
-    dt: Any = None,
+    dt: object = None,
     method: Discretisation = "exact",
     intersample: InterpolationOrAuto = "auto",
     initial_state: ComparedState = "estimate",
     offset: bool = False,
-    weights: Any = None,
+    weights: object = None,
     labels: str | Sequence[str] | None = None,
     horizon: int | None = None,
 ) -> Comparison:

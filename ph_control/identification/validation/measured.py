@@ -76,7 +76,9 @@ class HeldData:
         return f" (experiment {place + 1} of {len(self.experiments)})" if len(self.experiments) > 1 else ""
 
 
-def experiments_to_hold_against(data: Any, dt: Any, models: Sequence[Any], weights: Any = None) -> tuple[Kind, ...]:
+def experiments_to_hold_against(
+    data: object, dt: object, models: Sequence[Any], weights: object = None
+) -> tuple[Kind, ...]:
     """The experiments, their step from a model where nothing else tells it; refused without any output."""
     if dt is None and _lacks_step(data):
         fitted = [
@@ -99,7 +101,7 @@ def experiments_to_hold_against(data: Any, dt: Any, models: Sequence[Any], weigh
     return records
 
 
-def _lacks_step(data: Any) -> bool:
+def _lacks_step(data: object) -> bool:
     """Whether any of the data may be arrays, which have no step of their own."""
     known = Kind | ct.TimeResponseData | ct.FrequencyResponseData
     return isinstance(data, tuple | list) and not all(

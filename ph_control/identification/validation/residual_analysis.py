@@ -302,15 +302,15 @@ class ResidualAnalysis(Report, HeldData, Frozen):
 
 
 def residual_analysis(
-    data: Any,
+    data: object,
     model: Any,
     *,
-    dt: Any = None,
+    dt: object = None,
     method: Discretisation = "exact",
     intersample: Interpolation = "zoh",
     initial_state: ComparedState = "estimate",
     offset: bool = False,
-    weights: Any = None,
+    weights: object = None,
     lags: int | None = None,
     confidence: float = 0.99,
     horizon: int | None = 1,
@@ -412,7 +412,7 @@ def residual_analysis(
     return _analysed(records, name, answers, L, level, (steps, simulated, beside.whiteness))
 
 
-def _largest_lag(lags: Any, records: tuple[Any, ...]) -> int:
+def _largest_lag(lags: object, records: tuple[Any, ...]) -> int:
     longest = max(record.samples for record in records)
     if lags is None:
         count = sum(int(record.observed.sum()) for record in records)

@@ -164,7 +164,7 @@ def order_plot(selection: OrderSelection, criterion: Criterion = "bic", **kwargs
     return _expected(selection, OrderSelection, "order_selection(data, orders)").plot(criterion, **kwargs)
 
 
-def _expected(given: Any, kind: type, call: str) -> Any:
+def _expected(given: object, kind: type, call: str) -> Any:
     if not isinstance(given, kind):
         raise StructureError(f"this is a {type(given).__name__}; pass what {call} gives")
     return given

@@ -12,7 +12,6 @@ import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -248,7 +247,7 @@ def _join_header(lines: list[str], first: int) -> bool:
     return parts > 1
 
 
-def _check_layout(header: Any, delimiter: Any, decimal: Any) -> None:
+def _check_layout(header: object, delimiter: object, decimal: object) -> None:
     if header is not None and not _checks.is_flag(header):
         raise StructureError(f"header is {_checks.shown(header)}; it must be True, False or None")
     if delimiter is not None and (not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter in '"\n\r.'):
