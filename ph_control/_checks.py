@@ -67,7 +67,7 @@ def unit_text(unit: object) -> str:
     return unit or ""
 
 
-def real_array(name: str, value: ArrayLike, ndim: int | None = None, *, missing: bool = False) -> Array:
+def real_array(name: str, value: object, ndim: int | None = None, *, missing: bool = False) -> Array:
     """Convert to a new array of finite doubles with `ndim` dimensions; NaN marks what is `missing`, if allowed."""
     raw = value if type(value) is np.ndarray and value.dtype.char == "d" else _real_numbers(name, value)
     array = np.array(raw, dtype=float)
@@ -80,7 +80,7 @@ def real_array(name: str, value: ArrayLike, ndim: int | None = None, *, missing:
     return array
 
 
-def _real_numbers(name: str, value: ArrayLike) -> NDArray[Any]:
+def _real_numbers(name: str, value: object) -> NDArray[Any]:
     """Array of what is not an array of doubles."""
     parts = value if isinstance(value, list | tuple) else ()
     if np.ma.is_masked(value) or any(isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part) for part in parts):
@@ -454,7 +454,7 @@ def distance_from_grid(t: Array, step: float) -> float:
     return off
 
 
-def sampling_step(dt: Any, *, name: str = "dt") -> float:
+def sampling_step(dt: object, *, name: str = "dt") -> float:
     """Check a sampling step: one positive finite number."""
     try:
         step = float(real_array(name, dt, 0))
@@ -508,7 +508,7 @@ def flag_or_auto(name: str, value: object) -> None:
         raise StructureError(f"{name} is {shown(value)}; it must be True, False or 'auto'")
 
 
-def band(value: Any) -> tuple[float, float]:
+def band(value: object) -> tuple[float, float]:
     """Check a band of frequencies, `(low, high)`."""
     edges = real_array("band", value)
     if edges.shape != (2,) or not 0 <= edges[0] < edges[1]:

@@ -11,7 +11,7 @@ import numpy as np
 from .. import _checks
 from .._display import Report
 from .._options import DISCRETISATIONS, INTERPOLATIONS, Discretisation, Interpolation
-from .._types import Array
+from .._types import Array, ArrayLike
 from .._units import common_unit
 from ..exceptions import StructureError
 from ..modal.discretization import Hold
@@ -211,7 +211,7 @@ def _inputs(response: ct.TimeResponseData, sys: PortHamiltonian, samples: int) -
     return _trace(response.u, "inputs", sys.ninputs, samples)
 
 
-def _trace(value: Any, what: str, rows: int, samples: int) -> Array:
+def _trace(value: ArrayLike, what: str, rows: int, samples: int) -> Array:
     if value is None or np.size(value) == 0:
         raise StructureError(f"the response has no {what}; compute it with forced_response and return_states=True")
     array = _checks.real_array(f"the list of {what} of the response", value)

@@ -13,7 +13,7 @@ from control import FrequencyResponseData, TimeResponseData
 
 from .. import _checks
 from .._options import FrequencyUnit
-from .._types import Array, ComplexArray
+from .._types import Array, ArrayLike, ComplexArray
 from .._units import checked_unit
 from ..analysis.time_grid import printed_step
 from ..exceptions import FileFormatError, StructureError, printable
@@ -295,7 +295,7 @@ def _kind(value: object) -> str:
     return value if isinstance(value, str) and value.startswith(("a ", "an ")) else "a text"
 
 
-def _real(values: Any, label: str, name: str) -> Array:
+def _real(values: ArrayLike, label: str, name: str) -> Array:
     if np.iscomplexobj(values):
         raise FileFormatError(f"{name}: {label} is complex; real numbers are needed")
     return np.asarray(values, float)

@@ -381,7 +381,7 @@ def _frequencies(
     return (given if given is not None and len(given) > 2 else None), float(ends[0]), float(ends[1])
 
 
-def _ascending(name: str, value: Any) -> Array:
+def _ascending(name: str, value: object) -> Array:
     array = _checks.real_array(name, value, 1)
     if len(array) < 2 or array[0] <= 0 or np.any(np.diff(array) <= 0):
         raise StructureError(

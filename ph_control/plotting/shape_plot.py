@@ -419,7 +419,7 @@ def _checked_shapes(given: object) -> ComplexArray:
     return c
 
 
-def _places(positions: Any, sensors: int) -> Array:
+def _places(positions: ArrayLike | None, sensors: int) -> Array:
     """Positions (p, 1), (p, 2) or (p, 3); by default the numbers of the sensors from 1 on."""
     if positions is None:
         return np.arange(1.0, sensors + 1.0)[:, None]

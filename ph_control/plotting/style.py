@@ -292,7 +292,7 @@ def frequency_axis(Hz: bool | None, time_unit: str | None) -> tuple[float, str]:
     return hertz_size(time_unit), "Hz"
 
 
-def checked_limits(given: Any) -> tuple[float, float]:
+def checked_limits(given: object) -> tuple[float, float]:
     """Ends of a frequency axis, in its unit, as the caller gave them."""
     ends = _checks.real_array("omega_limits", given, 1)
     if len(ends) != 2 or not 0 <= ends[0] < ends[1]:

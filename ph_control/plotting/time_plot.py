@@ -327,7 +327,7 @@ def _modes(subject: Subject) -> ModalForm | None:
 # --- instants --------------------------------------------------------------------------------------------------------
 
 
-def _instants(timepts: Any) -> Array:
+def _instants(timepts: ArrayLike | None) -> Array:
     t = _checks.real_array("the time vector", timepts, 1)
     if len(t) < 2 or t[0] < 0 or (np.diff(t) <= 0).any():
         raise StructureError(
@@ -337,7 +337,7 @@ def _instants(timepts: Any) -> Array:
     return t
 
 
-def _end(subjects: list[Subject], forms: list[ModalForm | None], timepts: Any) -> float:
+def _end(subjects: list[Subject], forms: list[ModalForm | None], timepts: ArrayLike | None) -> float:
     """Last instant: the one asked for, or one by which every system has shown its slowest motion."""
     if timepts is not None:
         return _checks.sampling_step(timepts, name="the last instant")

@@ -14,7 +14,7 @@ from control import FrequencyResponseData, TimeResponseData
 from ... import _checks
 from ..._display import first_of
 from ..._options import ResponseInterpolation
-from ..._types import Array, ComplexArray, Indices
+from ..._types import Array, ArrayLike, ComplexArray, Indices
 from ..._units import checked_unit
 from ...analysis.spectral_window import SpectralWindow, window_of
 from ...exceptions import IdentificationError, StructureError
@@ -282,7 +282,7 @@ def several(data: Any) -> Recording | ResponseMatrix:
     return Recording(data.clock, data.dt, data.u[None][: int(data.driven)], data.y[None], **named)
 
 
-def recording_of_pair(u: Any, y: Any, dt: object, output_needed: bool = True) -> Recording:
+def recording_of_pair(u: Any, y: Any, dt: float | None, output_needed: bool = True) -> Recording:
     """Recording of signals (T,) or (channels, T); of a free motion without `u`, of no known output without `y`."""
     inputs = [] if u is None else _signals("input", u)
     if y is None and not len(inputs):
@@ -296,7 +296,7 @@ def recording_of_pair(u: Any, y: Any, dt: object, output_needed: bool = True) ->
     return recording(None, step, inputs, outputs, _numbered("u", len(inputs)), _numbered("y", len(outputs)))
 
 
-def recordings_of_response(data: TimeResponseData, dt: object) -> tuple[Recording, ...]:
+def recordings_of_response(data: TimeResponseData, dt: float | None) -> tuple[Recording, ...]:
     """One recording for each trace."""
     refuse_short(len(data.time))
     time, step = uniform_time("the time of the record", data.time, dt)
@@ -333,7 +333,7 @@ def _signals(role: str, value: Any, missing: bool = False) -> Sequence[Array] | 
     return np.asarray(value) if stays_on_disk(value) else checked
 
 
-def shape_of(value: Any) -> tuple[int, ...]:
+def shape_of(value: ArrayLike) -> tuple[int, ...]:
     """Shape of an array_like; (0,) of what is none, which is refused where it is read."""
     try:
         return tuple(np.shape(value))
@@ -388,7 +388,7 @@ class Sampling:
     The hold 'sampled' is that of a held input whose responses were not divided by that of the hold.
     """
 
-    window: Any = None
+    window: ArrayLike | None = None
     dt: float | None = None
     hold: ResponseHold = "auto"
 
@@ -426,7 +426,9 @@ class Sampling:
 NO_SAMPLING = Sampling()
 
 
-def response_matrix(data: FrequencyResponseData, weights: object, sampling: Sampling = NO_SAMPLING) -> ResponseMatrix:
+def response_matrix(
+    data: FrequencyResponseData, weights: ArrayLike | None, sampling: Sampling = NO_SAMPLING
+) -> ResponseMatrix:
     """Check a frequency response, and sort it by frequency; one of samples is divided by that of their hold."""
     sampling = sampling.stated_by(data)
     omega, response = checked_points(data, windowed=sampling.window is not None)
@@ -443,7 +445,7 @@ def response_matrix(data: FrequencyResponseData, weights: object, sampling: Samp
     return ResponseMatrix(*arrays, names, seen, matrix.title, unit, window)
 
 
-def weighted(matrix: ResponseMatrix, weights: Any) -> ResponseMatrix:
+def weighted(matrix: ResponseMatrix, weights: ArrayLike | None) -> ResponseMatrix:
     """The same response with given weights: one for each frequency (K,), or for each entry (p, m, K)."""
     if weights is None:
         return matrix

@@ -113,7 +113,7 @@ def recording(
     )
 
 
-def recording_of_frame(frame: object, dt: object = None, *, output_needed: bool = True) -> channels.Recording:
+def recording_of_frame(frame: object, dt: float | None = None, *, output_needed: bool = True) -> channels.Recording:
     """Recording of a data frame with columns of the time (or none, with `dt`), the input and the output, in that order.
 
     The time is its index, or recognised by its label as `phc.read_csv` does; of the two that remain the first is the
@@ -149,7 +149,7 @@ class _Table:
     time: Any
 
     @classmethod
-    def of(cls, frame: Any, time: Any, dt: Any) -> _Table:
+    def of(cls, frame: Any, time: Any, dt: float | None) -> _Table:
         """Find the columns of a frame and its time; with `time=False` there is none."""
         if not isinstance(frame, Mapping) and not is_data_frame(frame):
             raise StructureError(
@@ -194,7 +194,7 @@ class _Table:
     def __getitem__(self, label: str) -> Any:
         return _column(self.frame, self.keys[label])
 
-    def clock(self, dt: object, samples: int | None = None) -> tuple[float, float, str | None]:
+    def clock(self, dt: float | None, samples: int | None = None) -> tuple[float, float, str | None]:
         """First instant, step and unit of the time."""
         if self.time is None:
             return 0.0, _checks.sampling_step(dt), None

@@ -11,6 +11,7 @@ import numpy as np
 from control import FrequencyResponseData, TimeResponseData
 
 from ... import _checks
+from ..._types import ArrayLike, OneOrEach
 from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
 from .channels import (
@@ -39,7 +40,7 @@ _KINDS = (
 
 
 def as_experiments(
-    data: object, dt: object = None, *, weights: object = None, output_needed: bool = True
+    data: object, dt: OneOrEach = None, *, weights: OneOrEach = None, output_needed: bool = True
 ) -> tuple[Record, ...] | tuple[FrequencyRecord, ...]:
     """Make checked experiments of data of any kind, all in time or all in frequency.
 
@@ -91,8 +92,8 @@ def as_experiments(
 
 
 def as_channels(
-    data: object, dt: object = None, *, weights: object = None, window: Any = None, hold: ResponseHold = "auto",
-    output_needed: bool = True,
+    data: object, dt: OneOrEach = None, *, weights: OneOrEach = None, window: ArrayLike | None = None,
+    hold: ResponseHold = "auto", output_needed: bool = True,
 ) -> Channels:  # fmt: skip
     """Make checked experiments of several inputs and outputs, all in time or all in frequency.
 
@@ -144,7 +145,7 @@ def as_channels(
     return matched(experiments, _are_named(data))
 
 
-def as_measured(data: Any, dt: Any = None, *, weights: Any = None) -> tuple[Any, ...]:
+def as_measured(data: Any, dt: OneOrEach = None, *, weights: OneOrEach = None) -> tuple[Any, ...]:
     """Experiments as `as_experiments` makes them of one input and one output, and `as_channels` of more in any.
 
     Experiments that differ in the names of their inputs or outputs have several channels together; columns of data
@@ -162,7 +163,9 @@ def as_measured(data: Any, dt: Any = None, *, weights: Any = None) -> tuple[Any,
     return tuple(map(single, experiments))
 
 
-def _each_experiment(data: Any, dt: Any, weights: Any, take: Callable[..., Iterable[Any]]) -> tuple[Any, ...]:
+def _each_experiment(
+    data: Any, dt: OneOrEach, weights: OneOrEach, take: Callable[..., Iterable[Any]]
+) -> tuple[Any, ...]:
     """What `take(data, dt, weights, first)` makes of an experiment, or of each in a list, `first` being one of them."""
     if not _are_several(data):
         return tuple(take(data, dt, weights, None))
@@ -197,7 +200,7 @@ def as_record(
     return record
 
 
-def one_recording(data: Any, dt: Any, outputs: int) -> Recording:
+def one_recording(data: Any, dt: float | None, outputs: int) -> Recording:
     """Make one recording of data that `as_channels` takes; without outputs these are missing throughout."""
     blind = isinstance(data, tuple) and len(data) == 2 and data[1] is None
     if blind:
@@ -265,7 +268,7 @@ def _are_named(data: Any) -> bool:
     return all(response.output_labels and (response.input_labels or not response.ninputs) for response in responses)
 
 
-def _refuse_mixture(data: object, weights: object, first: Any, window: Any) -> None:
+def _refuse_mixture(data: object, weights: object, first: object, window: object) -> None:
     """Refuse what is no experiment, what is of another kind than the `first` of a list, and options of other kinds."""
     _refuse_unknown(data, listed=first is not None)
     spectral = _is_spectral(data)
@@ -285,11 +288,11 @@ def _refuse_mixture(data: object, weights: object, first: Any, window: Any) -> N
 
 def _experiment(
     data: Any,
-    dt: Any,
-    weights: Any,
-    first: Any,
+    dt: float | None,
+    weights: ArrayLike | None,
+    first: object,
     output_needed: bool = True,
-    window: Any = None,
+    window: ArrayLike | None = None,
     hold: ResponseHold = "auto",
 ) -> tuple[Any, ...]:
     """Checked data of one experiment, of one or of several channels; in a list of the kind of the `first`."""

@@ -10,7 +10,7 @@ from control import FrequencyResponseData
 from scipy.linalg import cholesky_banded, solve_banded
 
 from ... import _checks
-from ..._types import Array, ComplexArray, Indices, Mask
+from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask
 from ..._units import with_unit
 from ...analysis.spectral_window import SpectralWindow
 from ...exceptions import IdentificationError, StructureError
@@ -142,7 +142,7 @@ def title_of(data: FrequencyResponseData) -> str:
     return str(data.title or ("" if data._generic_name_check() else data.name))
 
 
-def checked_weights(weights: Any, count: int) -> Array:
+def checked_weights(weights: ArrayLike, count: int) -> Array:
     """One positive weight for each frequency; ones by default."""
     if weights is None:
         return np.ones(count)

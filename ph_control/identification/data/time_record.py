@@ -19,7 +19,7 @@ from control import TimeResponseData
 from ... import _checks
 from ..._display import counted
 from ..._frozen import Frozen
-from ..._types import Array, Mask, RealOrComplex
+from ..._types import Array, ArrayLike, Mask, RealOrComplex
 from ..._units import with_unit
 from ...analysis.time_grid import printed_step
 from ...exceptions import IdentificationError, StructureError
@@ -158,7 +158,7 @@ class Record(InTime):
         return with_unit(response, self.time_unit)
 
 
-def uniform_time(name: str, recorded: Any, dt: object = None) -> tuple[Array, float]:
+def uniform_time(name: str, recorded: ArrayLike, dt: float | None = None) -> tuple[Array, float]:
     """Instants on a uniform grid, and their step, which does not depend on where the time begins.
 
     Far from its origin a time in doubles is coarse: the step is the shortest number that the instants allow.
@@ -169,7 +169,7 @@ def uniform_time(name: str, recorded: Any, dt: object = None) -> tuple[Array, fl
     return time, printed_step(time)
 
 
-def refuse_contradiction(dt: object, step: float, name: str) -> None:
+def refuse_contradiction(dt: float | None, step: float, name: str) -> None:
     """Refuse a `dt` other than the step of a time that the data bring along."""
     if dt is None:
         return
@@ -238,7 +238,7 @@ def stays_on_disk(value: object) -> bool:
     return bool(value.dtype == np.float64 or (value.dtype == np.float32 and value.size > LONG))
 
 
-def _numbers(name: str, value: Any) -> RealOrComplex:
+def _numbers(name: str, value: object) -> RealOrComplex:
     """Real numbers of any type, NaN where one is absent; not copied if that can be avoided."""
     if isinstance(value, np.ma.MaskedArray) and value.dtype.kind in "biuf":
         return np.where(np.ma.getmaskarray(value), np.nan, value.data)

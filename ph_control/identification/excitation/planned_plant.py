@@ -143,7 +143,7 @@ class PlannedPlant:
             "feedthrough": self.feedthrough,
         }  # fmt: skip
 
-    def noise_at(self, dt: float, given: Any) -> NoiseModel | None:
+    def noise_at(self, dt: float, given: ArrayLike | None) -> NoiseModel | None:
         """Noise of the outputs at samples of a step: that which is `given`, or that of the fit."""
         if given is None:
             noise = self.noise

@@ -12,7 +12,7 @@ import numpy as np
 from ..._display import Report, aligned, counted, counted_poles, to_its_error
 from ..._frozen import Frozen
 from ..._options import Discretisation, Interpolation
-from ..._types import ComplexArray
+from ..._types import ArrayLike, ComplexArray
 from ..._units import rate, step_of
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
@@ -228,7 +228,7 @@ def plant_excitation(
     dt: float | None,
     hold_of: tuple[Discretisation, Interpolation],
     from_rest: bool,
-    noise_std: Any,
+    noise_std: ArrayLike | None,
 ) -> PlantExcitation:
     """Judge records at a plant; `hold_of` are method and behaviour of the input between the samples."""
     plant = replace(PlannedPlant.of(model), structure="free")
@@ -292,7 +292,11 @@ def _observed(record: Recording) -> Any:
 
 
 def _noise_and_motions(
-    plant: PlannedPlant, records: Sequence[Recording], holds: Sequence[Hold], from_rest: bool, noise_std: Any
+    plant: PlannedPlant,
+    records: Sequence[Recording],
+    holds: Sequence[Hold],
+    from_rest: bool,
+    noise_std: ArrayLike | None,
 ) -> tuple[NoiseModel | None, list[ComplexArray]]:
     """Noise that is given, that of a fit, or what the plant leaves of the outputs; and free motions fitted to these."""
     noise = plant.noise_at(records[0].dt, noise_std)

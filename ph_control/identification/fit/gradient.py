@@ -363,7 +363,7 @@ def _checked_start(problem: EulerProblem, guess: Any) -> Array:
     return problem.projected(np.concatenate([d, p, s0]))
 
 
-def _vector(name: str, value: Any, size: int) -> Array:
+def _vector(name: str, value: ArrayLike, size: int) -> Array:
     array = np.atleast_1d(_checks.real_array(name, value))
     if array.shape != (size,):
         raise StructureError(f"{name} has shape {array.shape}; with this order it must be ({size},)")

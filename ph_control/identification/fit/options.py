@@ -10,7 +10,7 @@ import numpy as np
 from ... import _checks
 from ..._heartbeat import Callback, reporter
 from ..._options import Criterion, Discretisation, InterpolationOrAuto, NoiseKind
-from ..._types import Array, ComplexArray
+from ..._types import Array, ArrayLike, ComplexArray
 from ..._units import common_unit
 from ...exceptions import StructureError
 from ...modal.discretization import Hold
@@ -88,7 +88,7 @@ def _checked_order(order: object, real_poles: int | str) -> int | str:
     return modes
 
 
-def _checked_delay(value: Any, outputs: int) -> Array | None:
+def _checked_delay(value: ArrayLike, outputs: int) -> Array | None:
     """Check delays that were given, one for each output; None where they are left to the data."""
     if isinstance(value, str):
         _checks.choice("delay", value, ("auto",))
@@ -101,7 +101,7 @@ def _checked_delay(value: Any, outputs: int) -> Array | None:
     return np.broadcast_to(delays, outputs).copy()
 
 
-def _checked_input_delay(value: Any, channels: Channels) -> Array | None:
+def _checked_input_delay(value: ArrayLike, channels: Channels) -> Array | None:
     """Check dead times that were given, one for each input, in whole samples; None where they are left to the data."""
     if isinstance(value, str):
         _checks.choice("input_delay", value, ("auto",))

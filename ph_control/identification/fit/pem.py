@@ -29,7 +29,7 @@ from ..._options import (
     Structure,
 )
 from ..._threads import on_one_thread
-from ..._types import ArrayLike, ComplexArray, RandomSource
+from ..._types import ArrayLike, ComplexArray, OneOrEach, RandomSource
 from ..._workers import check_workers
 from ...exceptions import IdentifiabilityWarning, StructureError
 from ..data.channels import Channels, ResponseHold
@@ -51,7 +51,7 @@ def pem(
     data: Any,
     order: int | Literal["auto"] = "auto",
     *,
-    dt: Any = None,
+    dt: OneOrEach = None,
     method: Discretisation = "exact",
     intersample: FittedInterpolation = "auto",
     initial_state: InitialState = "estimate",
@@ -59,7 +59,7 @@ def pem(
     quantity: SensorQuantity | Sequence[SensorQuantity] | Mapping[str, SensorQuantity] | None = None,
     representation: Representation = "observable",
     initial_guess: Any = None,
-    weights: Any = None,
+    weights: OneOrEach = None,
     criterion: Criterion = "bic",
     max_order: int | None = None,
     workers: Any = 1,
@@ -71,7 +71,7 @@ def pem(
     delay: ArrayLike | Literal["auto"] = "auto",
     input_delay: ArrayLike | Literal["auto"] = "auto",
     noise: NoiseKind = "auto",
-    window: Any = None,
+    window: ArrayLike | None = None,
     model: Any = None,
     parameters: Any = None,
     bounds: Any = None,

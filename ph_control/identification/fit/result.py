@@ -14,7 +14,7 @@ from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
 from ..._threads import on_one_thread
-from ..._types import Array, ComplexArray, RealOrComplex
+from ..._types import Array, ArrayLike, ComplexArray, RealOrComplex
 from ..._units import common_unit, hertz_size, parted, unit_for
 from ...exceptions import StructureError
 from ...io.codecs import save
@@ -203,7 +203,7 @@ class FittedModes(Report, Frozen):
         """
         return np.asarray(self._only("free_amplitudes").free_amplitudes)
 
-    def _given_state(self, value: Any) -> Array:
+    def _given_state(self, value: ArrayLike) -> Array:
         """State (2n,); a number is every entry of it."""
         state, size = _checks.real_array("initial_state", value), self.states
         if state.ndim and state.shape != (size,):

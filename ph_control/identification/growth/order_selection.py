@@ -16,7 +16,7 @@ from ..._frozen import Frozen
 from ..._heartbeat import Callback, reporter
 from ..._options import CRITERIA, DISCRETISATIONS, INITIAL_STATES, INTERPOLATIONS_OR_AUTO, Criterion
 from ..._threads import on_one_thread
-from ..._types import Array, Indices, Mask
+from ..._types import Array, Indices, Mask, OneOrEach
 from ..._units import common_unit, unit_for
 from ..._workers import check_workers
 from ...exceptions import IdentificationError, StructureError
@@ -169,10 +169,10 @@ def order_selection(
     data: object,
     orders: int | Sequence[int] | None = None,
     *,
-    dt: object = None,
+    dt: OneOrEach = None,
     holdout: float = 0.0,
     initial_guess: Any = None,
-    weights: object = None,
+    weights: OneOrEach = None,
     callback: Callback | None = None,
     workers: object = 1,
     **options: Any,

@@ -337,7 +337,7 @@ def intensity_of(A: Array, covariance: Array, h: float) -> Array:
     return np.asarray(root @ root.T)
 
 
-def _covariance(name: str, value: Any) -> Array:
+def _covariance(name: str, value: ArrayLike) -> Array:
     """Check a covariance: symmetric, and not negative but for rounding."""
     matrix = np.array(_checks.real_array(name, value, 2))
     if matrix.shape[0] != matrix.shape[1]:

@@ -13,7 +13,7 @@ from ... import _checks
 from ..._display import Report, counted, percent
 from ..._frozen import Frozen
 from ..._options import ComparedState, Discretisation, Interpolation, InterpolationOrAuto
-from ..._types import Array, NDArray, RealOrComplex
+from ..._types import Array, NDArray, OneOrEach, RealOrComplex
 from ..._units import parted, unit_for
 from ...exceptions import StructureError
 from ...plotting.fit_plot import comparison_plot
@@ -262,12 +262,12 @@ class Comparison(Report, HeldData, Frozen):
 def compare(
     data: object,
     *models: Any,
-    dt: object = None,
+    dt: OneOrEach = None,
     method: Discretisation = "exact",
     intersample: InterpolationOrAuto = "auto",
     initial_state: ComparedState = "estimate",
     offset: bool = False,
-    weights: object = None,
+    weights: OneOrEach = None,
     labels: str | Sequence[str] | None = None,
     horizon: int | None = None,
 ) -> Comparison:

@@ -13,7 +13,7 @@ import numpy as np
 from ... import _checks
 from ..._display import counted, counted_poles
 from ..._frozen import Frozen
-from ..._types import Array, RealOrComplex
+from ..._types import Array, OneOrEach, RealOrComplex
 from ..._units import common_unit
 from ...exceptions import StructureError
 from ...plotting.inputs import given_name
@@ -77,7 +77,7 @@ class HeldData:
 
 
 def experiments_to_hold_against(
-    data: object, dt: object, models: Sequence[Any], weights: object = None
+    data: object, dt: OneOrEach, models: Sequence[Any], weights: OneOrEach = None
 ) -> tuple[Kind, ...]:
     """The experiments, their step from a model where nothing else tells it; refused without any output."""
     if dt is None and _lacks_step(data):

@@ -14,7 +14,7 @@ from ... import _checks
 from ..._display import Report, first_of, p_value, percent
 from ..._frozen import Frozen
 from ..._options import ComparedState, Discretisation, Interpolation
-from ..._types import Array, Indices, NDArray, RealOrComplex
+from ..._types import Array, Indices, NDArray, OneOrEach, RealOrComplex
 from ..._units import unit_for
 from ...exceptions import StructureError
 from ...plotting.validation_plot import CorrelationPanel, ResponsePanel, residual_panels_plot
@@ -305,12 +305,12 @@ def residual_analysis(
     data: object,
     model: Any,
     *,
-    dt: object = None,
+    dt: OneOrEach = None,
     method: Discretisation = "exact",
     intersample: Interpolation = "zoh",
     initial_state: ComparedState = "estimate",
     offset: bool = False,
-    weights: object = None,
+    weights: OneOrEach = None,
     lags: int | None = None,
     confidence: float = 0.99,
     horizon: int | None = 1,
