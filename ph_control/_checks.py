@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment, minimize_scalar
 
-from ._types import Array
+from ._types import Array, PortPairs, RandomSource
 from .exceptions import StructureError, UnknownKeywordError
 
 EPS = float(np.finfo(float).eps)
@@ -26,9 +26,10 @@ SMALLEST_SQUARED = 1e-153  # so that squares do
 TINY = float(np.finfo(float).tiny)
 
 Choice = TypeVar("Choice", bound=str)
+SomeArray = TypeVar("SomeArray", bound="NDArray[Any]")
 
 
-def readonly(array: NDArray[Any]) -> NDArray[Any]:
+def readonly(array: SomeArray) -> SomeArray:
     """Lock an array against writing, and return it."""
     array.flags.writeable = False
     return array
@@ -107,7 +108,7 @@ def _real_numbers(name: str, value: object) -> NDArray[Any]:
     return raw
 
 
-def finite(name: str, array: NDArray[Any]) -> None:
+def finite(name: str, array: NDArray[np.number]) -> None:
     """Refuse NaN and infinity, naming the first place."""
     good = np.isfinite(array)
     # counting takes a quarter of the time of `all` where there are few
@@ -133,7 +134,7 @@ def in_range(name: str, array: Array, smallest: float = SMALLEST) -> None:
         )
 
 
-def representable(what: str, *arrays: NDArray[Any], nonzero: NDArray[np.bool_] | bool = False) -> None:
+def representable(what: str, *arrays: NDArray[np.number], nonzero: NDArray[np.bool_] | bool = False) -> None:
     """Refuse intermediate results that left the range of doubles, where the input itself was finite.
 
     `nonzero` says where results are not 0: there an underflow would pass for a weight that is absent.
@@ -495,7 +496,7 @@ def is_flag(value: object) -> bool:
     return isinstance(value, bool | np.bool_ | int | np.integer) and value in (0, 1)
 
 
-def flags(**given: Any) -> None:
+def flags(**given: object) -> None:
     """Check keywords that are True or False."""
     for name, value in given.items():
         if not is_flag(value):
@@ -567,7 +568,7 @@ def signal_names(names: Mapping[str, Any], **sizes: int) -> None:
         _text("name", names["name"])
     for kind, size in sizes.items():
         given = next((names[key] for key in (kind, kind[:-1]) if names.get(key) is not None), size)
-        listed: Sequence[Any] = () if is_whole(given) else given if isinstance(given, list | tuple) else [given]
+        listed: Sequence[object] = () if is_whole(given) else given if isinstance(given, list | tuple) else [given]
         for name in listed:
             _text(f"one of the {kind}", name)
         count = given if is_whole(given) else len(listed)
@@ -594,7 +595,7 @@ def without_dots(labels: Sequence[str]) -> list[str]:
     return names
 
 
-def port_pairs(ports: Any, outputs: Sequence[str], inputs: Sequence[str]) -> tuple[tuple[int, int], ...]:
+def port_pairs(ports: PortPairs, outputs: Sequence[str], inputs: Sequence[str]) -> tuple[tuple[int, int], ...]:
     """Numbers of the output and the input of each port, given by labels or numbers, as pairs or as a mapping."""
     try:
         listed = [(output, input) for output, input in (ports.items() if isinstance(ports, Mapping) else ports)]
@@ -648,7 +649,7 @@ def signal_number(role: str, value: Any, labels: Sequence[str]) -> int:
     )
 
 
-def random_generator(rng: Any) -> np.random.Generator:
+def random_generator(rng: RandomSource) -> np.random.Generator:
     """Check where random numbers come from."""
     sources = np.random.Generator | np.random.BitGenerator | np.random.SeedSequence | np.random.RandomState
     try:

@@ -21,7 +21,7 @@ class Frozen:
         _lock(state.values())
 
 
-def _lock(values: Iterable[Any]) -> None:
+def _lock(values: Iterable[object]) -> None:
     for value in values:
         if isinstance(value, np.ndarray):
             value.flags.writeable = False

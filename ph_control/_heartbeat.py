@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from . import _checks
 from .exceptions import StructureError
@@ -44,14 +43,14 @@ class Progress:
 
 
 Report = Callable[[int, float], None]  # iteration, loss
-Callback = Callable[[Progress], Any]
+Callback = Callable[[Progress], object]
 
 
 @dataclass
 class Heartbeat:
     """A callback that is also told where the computation is between iterations."""
 
-    callback: Callable[[Progress], Any]
+    callback: Callback
     latest: Progress = Progress(0, 0, 0, math.nan)
     reported: float = field(default_factory=time.monotonic)
 
@@ -81,7 +80,7 @@ def alive(stage: str) -> None:
 
 
 @contextmanager
-def heard_by(callback: Any) -> Iterator[Any]:
+def heard_by(callback: Callback | None) -> Iterator[Callback | None]:
     """Context in which `alive` reaches a callback; gives what is to be called in its place."""
     heartbeat = Heartbeat(callback) if callable(callback) else callback
     token = _CURRENT.set(heartbeat if callable(callback) else None)

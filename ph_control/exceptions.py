@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any
 
 # control characters but for tab and line feed, marks that turn the direction of reading, and halves of characters
 _UNSEEN = "\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff"
@@ -122,7 +121,7 @@ class NotLosslessError(StructureError):
         form = "a lossless system is sum_l kappa_l s/(s^2 + d_l^2) + kappa_0/s with every kappa positive"
         super().__init__(_itemized("the system is not lossless:", self.violations, form))
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.violations, self._message)
 
 
@@ -193,7 +192,7 @@ class NotPassiveError(NotLosslessError):
             "chooses the outputs that are, and the others become sensors"
         )
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return type(self), (
             self.bands, self.sizes, self.frequencies, self.unstable, self.signs, self._reasons
         )  # fmt: skip

@@ -12,7 +12,7 @@ from scipy.signal import cont2discrete
 
 from .. import _checks
 from .._options import INTERPOLATIONS
-from .._types import Array, ArrayLike
+from .._types import Array, ArrayLike, SystemNames
 from ..exceptions import StructureError
 from ..modal.general_form import GeneralModalForm
 from ..modal.modal_form import ModalForm
@@ -87,7 +87,7 @@ def held(sys: LinearSystem, t: Array, intersample: str) -> LinearSystem:
     return ct.sample_system(ct.ss(sys), _checks.time_step(t) or 1.0, "zoh")
 
 
-def sampled(sys: LinearSystem, h: float, method: str, intersample: str, names: dict[str, Any]) -> ct.StateSpace:
+def sampled(sys: LinearSystem, h: float, method: str, intersample: str, names: SystemNames) -> ct.StateSpace:
     """A system of another kind as a discrete-time state space, by the rule of python-control that is the same."""
     rule = _RULES.get((method, intersample))
     if rule is None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .._options import INTERPOLATIONS, Discretisation, Interpolation
+from .._types import SystemNames, Unpack
 from .._units import common_unit, with_unit
 from ..exceptions import ResolutionWarning
 from ..modal.discretization import Hold, check_method
@@ -25,7 +26,12 @@ Array = NDArray[np.float64]
 
 
 def sample(
-    sys: Any, h: float, method: Discretisation = "exact", *, intersample: Interpolation = "zoh", **names: Any
+    sys: Any,
+    h: float,
+    method: Discretisation = "exact",
+    *,
+    intersample: Interpolation = "zoh",
+    **names: Unpack[SystemNames],
 ) -> ct.StateSpace:
     """Sample a system: one step of an integrator as a discrete-time state space.
 

@@ -11,7 +11,7 @@ from scipy import signal
 
 from .. import _checks
 from .._options import RESPONSE_INTERPOLATIONS, ResponseInterpolation
-from .._types import Array, ComplexArray, Mask
+from .._types import Array, ComplexArray, Mask, SystemNames, Unpack
 from .._units import common_unit, with_unit
 from ..exceptions import StructureError
 from .spectral_window import hold_response
@@ -55,7 +55,7 @@ class SpectralEstimate(ct.FrequencyResponseData):
 
     def __init__(
         self, response: ComplexArray, omega: Array, coherence: Array, segments: int, step: float,
-        window: tuple[str, int] | None = None, intersample: str = "zoh", **names: Any,
+        window: tuple[str, int] | None = None, intersample: str = "zoh", **names: Unpack[SystemNames],
     ) -> None:  # fmt: skip
         super().__init__(response, omega, dt=0, **names)
         self.coherence, self.segments, self.step = _checks.readonly(coherence), segments, step
@@ -92,7 +92,11 @@ class SpectralEstimate(ct.FrequencyResponseData):
 
 
 def spectral_estimate(
-    data: ct.TimeResponseData, *, segments: int = 8, intersample: ResponseInterpolation = "zoh", **names: Any
+    data: ct.TimeResponseData,
+    *,
+    segments: int = 8,
+    intersample: ResponseInterpolation = "zoh",
+    **names: Unpack[SystemNames],
 ) -> SpectralEstimate:
     """Estimate a frequency response from a record of one input and one output.
 
@@ -157,9 +161,9 @@ def spectral_estimate(
             "frequency but 0; use fewer segments"
         )
     inherited = {"name": data.sysname, "inputs": data.input_labels, "outputs": data.output_labels}
-    names = {key: value for key, value in inherited.items() if value} | names
+    given = {key: value for key, value in inherited.items() if value} | {**names}
     estimate = SpectralEstimate(
-        response[0, 0], omega, coherence[0], len(pieces), step, ("hann", length), intersample, **names
+        response[0, 0], omega, coherence[0], len(pieces), step, ("hann", length), intersample, **given
     )
     return with_unit(estimate, common_unit(data))
 

@@ -399,13 +399,9 @@ Run = Callable[[Any, Array], TimeResponseData]
 
 
 def _each(
-    sysdata: Convertible,
-    run: Run,
-    of_other: Run,
-    method: Discretisation,
-    timepts: ArrayLike | None,
-    samples: int | None,
-) -> TimeResponseData | TimeResponseList:
+    sysdata: Convertible | Sequence[Convertible], run: Run, of_other: Run, method: Discretisation,
+    timepts: ArrayLike | None, samples: int | None,
+) -> TimeResponseData | TimeResponseList:  # fmt: skip
     """Run one system, or each of a list on common instants: those of the package, or others."""
     listed = sysdata if isinstance(sysdata, list | tuple) else [sysdata]
     if not listed:

@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import connected_components
 
 from .. import _checks
 from .._frozen import Frozen
-from .._types import Array, ArrayLike
+from .._types import Array, ArrayLike, SystemNames, Unpack
 from .._units import with_unit
 from ..exceptions import FileFormatError, StructureError
 from ..systems.dissipative import DissipativePortHamiltonian
@@ -37,14 +37,14 @@ _ROUNDING = 8  # times size and EPS, of what was added up: what elimination leav
 
 @overload
 def read_netlist(
-    source: str | os.PathLike[str] | Any, *, parameters: None = None, **names: Any
+    source: str | os.PathLike[str] | Any, *, parameters: None = None, **names: Unpack[SystemNames]
 ) -> DissipativePortHamiltonian: ...
 @overload
 def read_netlist(
-    source: str | os.PathLike[str] | Any, *, parameters: Sequence[str], **names: Any
+    source: str | os.PathLike[str] | Any, *, parameters: Sequence[str], **names: Unpack[SystemNames]
 ) -> NetlistFunction: ...
 def read_netlist(
-    source: str | os.PathLike[str] | Any, *, parameters: Sequence[str] | None = None, **names: Any
+    source: str | os.PathLike[str] | Any, *, parameters: Sequence[str] | None = None, **names: Unpack[SystemNames]
 ) -> DissipativePortHamiltonian | NetlistFunction:
     """Port-Hamiltonian system of a SPICE netlist of resistors, inductors, capacitors and sources.
 
@@ -158,7 +158,7 @@ class NetlistFunction(Frozen):
     values: Array
     _elements: tuple[Element, ...] = field(repr=False)
     _places: tuple[int, ...] = field(repr=False)
-    _labels: dict[str, Any] = field(repr=False)
+    _labels: SystemNames = field(repr=False)
 
     def __call__(self, theta: ArrayLike) -> DissipativePortHamiltonian:
         """System of the circuit with these values, shape (P,)."""
@@ -171,10 +171,10 @@ class NetlistFunction(Frozen):
             if not (value > 0 or element.letter == "K") or abs(value) > (1 if element.letter == "K" else np.inf):
                 raise StructureError(f"{name} is {value:.6g}; R, L and C must be positive, and couplings from -1 to 1")
             elements[k] = replace(element, value=value)
-        return _system(elements, dict(self._labels))
+        return _system(elements, self._labels)
 
 
-def _opened(elements: Sequence[Element], parameters: Sequence[str], labels: dict[str, Any]) -> NetlistFunction:
+def _opened(elements: Sequence[Element], parameters: Sequence[str], labels: SystemNames) -> NetlistFunction:
     """A circuit with the values of some elements left open."""
     named = isinstance(parameters, list | tuple) and all(isinstance(name, str) for name in parameters)
     if not named:
@@ -193,7 +193,7 @@ def _opened(elements: Sequence[Element], parameters: Sequence[str], labels: dict
     return NetlistFunction(tuple(elements[k].name for k in places), values, tuple(elements), places, labels)
 
 
-def _system(elements: Sequence[Element], names: dict[str, Any]) -> DissipativePortHamiltonian:
+def _system(elements: Sequence[Element], names: SystemNames) -> DissipativePortHamiltonian:
     coils = _Coils(elements)
     turns = _Transformers(elements, coils)
     left_out = turns.sensing | coils.dependent
@@ -213,7 +213,9 @@ def _system(elements: Sequence[Element], names: dict[str, Any]) -> DissipativePo
     Q, turn = block_diag(*energies), block_diag(*turns_of_states, np.eye(len(ports)))
     K = turn @ K[np.ix_(pick, pick)] @ turn.T
     skew, symmetric = 0.5 * (K - K.T), 0.5 * (K + K.T)
-    given = {key if key.endswith("s") or key == "name" else f"{key}s": value for key, value in names.items()}
+    given: dict[str, Any] = {
+        key if key.endswith("s") or key == "name" else f"{key}s": value for key, value in names.items()
+    }
     system = DissipativePortHamiltonian(
         Q, -skew[:n, n:], R=symmetric[:n, :n], P=symmetric[:n, n:], S=symmetric[n:, n:], N=skew[n:, n:],
         J=-skew[:n, :n], **(_signals(branches, ports) | given),

@@ -14,6 +14,8 @@ from ..exceptions import OutputExistsError, StructureError
 from .outcome import DONE, emit
 
 if TYPE_CHECKING:
+    from control import ControlPlot
+
     import ph_control as phc
 
 # --- answers ---------------------------------------------------------------------------------------------------------
@@ -155,7 +157,7 @@ def picture_format(name: str, wanted: str | None = None) -> str:
 
 
 def deliver_picture(
-    plot: Any, name: str, overwrite: bool, *, format: str | None = None, dpi: float = 150,
+    plot: ControlPlot, name: str, overwrite: bool, *, format: str | None = None, dpi: float = 150,
     inches: tuple[float, float] | None = None,
 ) -> None:  # fmt: skip
     """Write the figure of a plot, the same bytes for the same figure, and close it."""

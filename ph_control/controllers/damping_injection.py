@@ -10,7 +10,7 @@ import numpy as np
 import scipy.signal
 
 from .. import _checks
-from .._types import Array, ArrayLike
+from .._types import Array, ArrayLike, SystemNames, Unpack
 from ..exceptions import StructureError
 from ..systems.interconnection import through_ports
 from ..systems.port_hamiltonian import PortHamiltonian
@@ -23,7 +23,7 @@ def damping_injection(
     gain: ArrayLike | PortHamiltonian,
     *,
     ports: Sequence[int | str] | None = None,
-    **names: Any,
+    **names: Unpack[SystemNames],
 ) -> PortHamiltonian:
     """Close a loop around ports by a gain or a system that only takes energy, `u = -K y + w`.
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import Any
+from typing import cast
 
 import control as ct
 import numpy as np
 from scipy.linalg import eig, solve_continuous_are, solve_continuous_lyapunov, svd
 
 from .. import _checks
-from .._types import Array, ArrayLike
+from .._types import Array, ArrayLike, SystemNames, Unpack
 from ..exceptions import StructureError
 from ..reduction.modal_truncation import energy_basis, sees
 from ..systems.dissipative import parts_of
@@ -31,7 +31,7 @@ def observer(
     gain: ArrayLike | None = None,
     *,
     ports: Sequence[int | str] | None = None,
-    **names: Any,
+    **names: Unpack[SystemNames],
 ) -> PortHamiltonian:
     """Observer of the states from inputs and outputs of ports, with the energy of the error as Lyapunov function.
 
@@ -119,7 +119,7 @@ def _default_gain(sys: PortHamiltonian, ports: list[int]) -> Array:
     return gains
 
 
-def _named(sys: PortHamiltonian, ports: list[int], names: dict[str, Any]) -> dict[str, Any]:
+def _named(sys: PortHamiltonian, ports: list[int], names: SystemNames) -> SystemNames:
     """Names of the signals of an observer: of the plant where they have any."""
     measured = [sys.output_labels[k] for k in ports]
     inputs = [*sys.input_labels, *measured]
@@ -127,7 +127,7 @@ def _named(sys: PortHamiltonian, ports: list[int], names: dict[str, Any]) -> dic
                *(f"correction at {label}" for label in measured), *sys.state_labels]  # fmt: skip
     given = {"inputs": inputs, "outputs": outputs, "states": list(sys.state_labels)}
     unique = {kind: labels for kind, labels in given.items() if len(set(labels)) == len(labels)}
-    return {**unique, **names}
+    return cast(SystemNames, {**unique, **names})
 
 
 def lqg(
@@ -136,7 +136,7 @@ def lqg(
     *,
     weight: ArrayLike | None = None,
     ports: Sequence[int | str] | None = None,
-    **names: Any,
+    **names: Unpack[SystemNames],
 ) -> PortHamiltonian:
     r"""Output feedback that is optimal for a quadratic cost, and passive.
 
@@ -207,11 +207,12 @@ def lqg(
     loss = inverse @ (W + lead.T @ lead) @ inverse
     dynamics = A - B @ gained @ X - gained.T @ B.T
     flow = dynamics @ inverse
-    labels = {
+    labels: SystemNames = {
         "inputs": [sys.output_labels[k] for k in port_indices],
         "outputs": [f"{sys.input_labels[k]} feedback" for k in port_indices],
+        **names,
     }
-    made = ph(0.5 * (X + X.T), gained.T, J=0.5 * (flow - flow.T), R=0.25 * (loss + loss.T), **{**labels, **names})
+    made = ph(0.5 * (X + X.T), gained.T, J=0.5 * (flow - flow.T), R=0.25 * (loss + loss.T), **labels)
     made.time_unit = sys.time_unit
     return made
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -31,7 +30,7 @@ class _Arrow(Frozen):
     __array_ufunc__ = None  # an array beside an arrow is an error, not a table of arrows
 
     @classmethod
-    def _takes(cls, *parts: Any) -> bool:
+    def _takes(cls, *parts: object) -> bool:
         """Whether the constructor takes them."""
         try:
             cls(*parts)

@@ -12,6 +12,7 @@ from typing import Any, BinaryIO, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from .._types import SystemNames
 from .._units import checked_unit, with_unit
 from ..exceptions import FileFormatError, StructureError
 from ..modal.general_form import GeneralModalForm
@@ -73,9 +74,9 @@ def system_from_dict(fields: Fields) -> PortHamiltonian:
     return with_unit(PortHamiltonian(fields.array("Q", (None, None)), fields.array("B", (None, None)), **names), unit)
 
 
-def _names_from_dict(fields: Fields) -> dict[str, Any]:
-    names: dict[str, Any] = {key: fields.texts(key) for key in ("inputs", "outputs", "states")}
-    return names | {"name": fields.text("name")}
+def _names_from_dict(fields: Fields) -> SystemNames:
+    inputs, outputs, states = (fields.texts(key) for key in ("inputs", "outputs", "states"))
+    return {"inputs": inputs, "outputs": outputs, "states": states, "name": fields.text("name")}
 
 
 def _parameters_to_dict(system: Any) -> dict[str, Any]:

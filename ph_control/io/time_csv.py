@@ -118,7 +118,7 @@ def read_csv(
 
 
 def recording_in(
-    table: Table, input: Any, output: Any, time: object, dt: float | None, time_unit: str | None
+    table: Table, input: Any, output: Any, time: object, dt: object, time_unit: object
 ) -> TimeResponseData:
     """Recording that a table holds; the arguments are those of `read_csv`."""
     step, unit = None if dt is None else _checks.sampling_step(dt), checked_unit(time_unit)

@@ -90,7 +90,7 @@ class GeneralModalForm(ModalForm):
     d = nu = rigid = r = _only_lossless("d, nu, rigid, r")
     kappa, kappa_0, minimal = _only_lossless("kappa"), _only_lossless("kappa_0"), _only_lossless("minimal")
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         arrays = (self._poles, self._shapes, self._participation, self.feedthrough)
         return type(self), (*(array.copy() for array in arrays), self.clusters)
 

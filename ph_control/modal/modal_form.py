@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from decimal import localcontext
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import rsf2csf
@@ -141,7 +141,7 @@ class ModalForm(ShownModes):
         for array in (d, nu, rigid, r):
             array.flags.writeable = False
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return type(self)._of, (self.d.copy(), self.nu.copy(), self.rigid.copy(), self.r.copy())
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import control as ct
 import numpy as np
@@ -14,7 +14,7 @@ from scipy.linalg import matrix_balance
 
 from .. import _checks
 from .._options import AxisScale, ResponseInterpolation
-from .._types import Array
+from .._types import Array, Unpack
 from .._units import parted, unit_for
 from ..analysis.margins import margin
 from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
@@ -45,9 +45,6 @@ from .response_picture import (
     is_logarithmic,
 )
 from .style import AxesGiven, LineStyle, Look, frequency_axis, plain, told_gain_unit
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 _PER_DECADE = 200
 _AROUND_ALL = 6000  # grid points on each side of all poles and zeros together

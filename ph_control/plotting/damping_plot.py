@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import control as ct
 import numpy as np
@@ -11,16 +11,13 @@ from matplotlib.axes import Axes
 from scipy.optimize import linear_sum_assignment
 
 from .. import _checks
-from .._types import Array, ArrayLike, ComplexArray
+from .._types import Array, ArrayLike, ComplexArray, Unpack
 from .._units import unit_for
 from ..controllers.damping_injection import damping_injection, feedback, plant
 from ..exceptions import StructureError
 from ..systems.port_hamiltonian import PortHamiltonian
 from .inputs import subjects_of, title_of
 from .style import AxesGiven, LineStyle, Look, frequency_axis, labelled, picture, plain_log_labels
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 _FACTORS = np.geomspace(1e-2, 1e2, 161)
 _NAMED = 10  # modes that a legend names

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import control as ct
 
 from .. import _checks
+from .._types import Unpack
 from .._units import rate, unit_for
 from ..analysis.energy import EnergyBalance
 from ..analysis.passivity import PassivityReport
 from ..exceptions import StructureError
 from .inputs import as_list
 from .style import ZERO, AxesGiven, LineStyle, Look, extremes, labelled, picture, plain
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 _REACH = 30.0  # times the first and the last frequency of interest
 _LEVELS = {

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from .. import _checks
 from .._display import percent
-from .._types import Array
+from .._types import Array, Unpack
 from ..exceptions import StructureError
 from .inputs import is_fit
 from .style import (
@@ -34,7 +34,6 @@ from .style import (
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
-    from typing_extensions import Unpack
 
 _FEW_PERIODS = 10  # that are seen in the whole record
 _DETAIL_PERIODS = 8

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import control as ct
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from .. import _checks
 from .._options import RESPONSE_INTERPOLATIONS, AxisScale, ResponseInterpolation
-from .._types import Array, ComplexArray, Indices
+from .._types import Array, ComplexArray, Indices, Unpack
 from .._units import unit_for
 from ..analysis.spectral_estimate import hold_response, response_matrix_estimate, rests
 from ..exceptions import StructureError
@@ -46,9 +46,6 @@ from .style import (
     plain,
     told_gain_units,
 )
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 _MOST_OUTPUTS, _MOST_INPUTS, _WIDE = 9, 3, 3  # of one picture, and panels beside one another
 _LINE = 1000  # frequencies of a curve, those of resonances and antiresonances apart

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 
 from .. import _checks
 from .._display import counted
-from .._types import Array, ComplexArray
+from .._types import Array, ComplexArray, Unpack
 from .._units import unit_for
 from ..exceptions import StructureError
 from ..modal.general_form import invariant_zeros
@@ -26,7 +26,6 @@ WeightKind = Literal["kappa", "r"]
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
-    from typing_extensions import Unpack
 
 _WIDE = 1e3  # ratio of weights beyond which they are drawn to a logarithmic scale
 _DECADES = 100.0  # ratio of frequencies beyond which they are

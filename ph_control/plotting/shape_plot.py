@@ -15,7 +15,7 @@ from scipy.special import ndtri
 
 from .. import _checks
 from .._options import ResponseInterpolation
-from .._types import Array, ComplexArray, Indices
+from .._types import Array, ComplexArray, Indices, Unpack
 from .._units import DERIVATIVES, parted, unit_for
 from ..exceptions import StructureError
 from ..numerics.modal_assurance import aligned_shapes, mac, phase_collinearity
@@ -47,7 +47,6 @@ Direction = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
-    from typing_extensions import Unpack
 
 _MOST = 12  # modes of one picture
 _IN_CELLS = 12  # modes of which a matrix has room for numbers

@@ -17,7 +17,7 @@ from matplotlib.colors import to_rgba
 from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._types import Array, Mask
+from .._types import Array, Mask, Unpack
 from .._units import unit_for
 from ..analysis.time_grid import listed
 from ..exceptions import PHControlError, StructureError
@@ -31,7 +31,6 @@ from .style import BAND, DOTS, ZERO, AxesGiven, LineStyle, Look, extremes, label
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
-    from typing_extensions import Unpack
 
 KINDS = ("impulse", "step")
 

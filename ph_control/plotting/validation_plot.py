@@ -20,7 +20,7 @@ from scipy.special import ndtri
 from .. import _checks
 from .._display import p_value
 from .._options import AxisScale
-from .._types import Array, ComplexArray, Indices, Mask, RealOrComplex
+from .._types import Array, ComplexArray, Indices, Mask, RealOrComplex, Unpack
 from .._units import unit_for
 from ..exceptions import StructureError
 from ..numerics.modal_assurance import stable_poles
@@ -48,7 +48,6 @@ from .style import (
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
-    from typing_extensions import Unpack
 
 # the line between two points is not the response, which may have a resonance there
 _POINTS: dict[str, Any] = {"linewidth": 0.8, "marker": ".", "markersize": 4.0, "zorder": 3}

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 from scipy.linalg import eigh
 
 from .. import _checks
-from .._types import Array, ArrayLike
+from .._types import Array, ArrayLike, SystemNames, Unpack
 from ..exceptions import StructureError
 from ..numerics import definiteness as _definite
 from ..numerics.shift_invert import Eigensolver
@@ -77,7 +77,7 @@ def from_second_order(
     eigensolver: Eigensolver | None = None,
     condense: bool = False,
     rtol: float | None = None,
-    **names: Any,
+    **names: Unpack[SystemNames],
 ) -> PortHamiltonian:
     """Structure `M q'' + (C + G) q' + K q = F u` with the velocities at the forces, `y = F^T q'`, as its outputs.
 
@@ -263,7 +263,7 @@ def _carried(force: Array, directions: Array) -> tuple[Array, Array]:
 
 
 def _of_few_modes(
-    given: _GivenStructure, choice: ModeChoice, rtol: float | None, names: dict[str, Any]
+    given: _GivenStructure, choice: ModeChoice, rtol: float | None, names: SystemNames
 ) -> PortHamiltonian:
     """System in modal coordinates: the modes wanted, then residual modes."""
     if choice.modes is not None and choice.band is not None:
@@ -305,7 +305,7 @@ def _of_few_modes(
 
 
 def _system(
-    built: Structure, inverse_mass: Array, measured: dict[str, Array], states: list[str], names: dict[str, Any],
+    built: Structure, inverse_mass: Array, measured: dict[str, Array], states: list[str], names: SystemNames,
     directions: Array,
 ) -> PortHamiltonian:  # fmt: skip
     """System of a structure, of the class that its damping and sensors ask for; the last ports are of the base."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +11,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from .. import _checks
-from .._types import Array, ComplexArray
+from .._types import Array, ComplexArray, SystemNames, Unpack
 from .._units import DERIVATIVES
 from ..exceptions import StructureError
 from ..numerics.shift_invert import Pencil
@@ -75,7 +74,7 @@ class SecondOrderSystem:
         C: ArrayLike | sparse.sparray | None = None,
         sensors: Mapping[str, ArrayLike] | ArrayLike | None = None,
         condense: bool = False,
-        **names: Any,
+        **names: Unpack[SystemNames],
     ) -> None:
         advice = {"G": "a gyroscopic matrix couples all modes: from_second_order takes it"}
         _checks.known_keywords("SecondOrderSystem", names, ("C", "sensors", "condense"), advice)

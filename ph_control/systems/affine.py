@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import control as ct
 import numpy as np
 
 from .. import _checks
-from .._types import Array, ArrayLike, ComplexArray
+from .._types import Array, ArrayLike, ComplexArray, SystemNames, Unpack
 from ..exceptions import NotLosslessError, StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics import definiteness as _definite
@@ -62,7 +61,7 @@ class AffineHamiltonian(LosslessSystem):
     _factory = "affine(Q, B)"
     _integrated = True
 
-    def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Any) -> None:
+    def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Unpack[SystemNames]) -> None:
         matrix = _checks.symmetric_matrix(Q)
         ports = _checks.port_matrix(B, len(matrix))
         _definite.not_surely_indefinite(matrix)
@@ -76,7 +75,7 @@ class AffineHamiltonian(LosslessSystem):
             )
         self._fill(PortHamiltonian._from_matrices(matrix, apply_form(0.0 - ports)), ports, names)
 
-    def _fill(self, velocity: PortHamiltonian, ports: Array, names: dict[str, Any]) -> None:
+    def _fill(self, velocity: PortHamiltonian, ports: Array, names: SystemNames) -> None:
         self._velocity = velocity
         self._interaction = _checks.readonly(ports)
         self._setup(len(ports), ports.shape[1], names)
@@ -111,7 +110,7 @@ class AffineHamiltonian(LosslessSystem):
         """Natural frequencies, ascending, rad per unit time."""
         return self._velocity.d
 
-    def derivative(self, **names: Any) -> PortHamiltonian:
+    def derivative(self, **names: Unpack[SystemNames]) -> PortHamiltonian:
         """Port-Hamiltonian system `(Q, -J B)`: the same states, the time derivative of the output.
 
         Parameters
@@ -168,7 +167,7 @@ class AffineHamiltonian(LosslessSystem):
         at_zero = np.flatnonzero(zeros == 0)
         return np.delete(zeros, at_zero[:1]) if not len(self.modes.rigid) else zeros.copy()
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return restored, (type(self), self._velocity, self._interaction, self._names())
 
     def _repr_eval_(self) -> str:
@@ -176,7 +175,7 @@ class AffineHamiltonian(LosslessSystem):
 
 
 def affine(
-    Q: ArrayLike | ct.StateSpace | ct.TransferFunction, B: ArrayLike | None = None, **names: Any
+    Q: ArrayLike | ct.StateSpace | ct.TransferFunction, B: ArrayLike | None = None, **names: Unpack[SystemNames]
 ) -> AffineHamiltonian:
     """Make an affine Hamiltonian system, from its matrices or from a system with an even transfer function.
 

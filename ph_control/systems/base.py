@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast, overload
 
 import control as ct
 import numpy as np
@@ -11,7 +11,7 @@ from control.iosys import InputOutputSystem
 
 from .. import _checks
 from .._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal, modes_table
-from .._types import Array, ArrayLike, ComplexArray, RealOrComplex
+from .._types import Array, ArrayLike, ComplexArray, RealOrComplex, SystemNames, Unpack
 from .._units import checked_unit, hertz_size
 from ..exceptions import NotLosslessError, StructureError, printable
 from ..modal.modal_form import ModalForm, imaginary
@@ -75,7 +75,8 @@ class LosslessSystem(ct.StateSpace):
     _current_params: dict[str, Any]
     _state_index: dict[str, int] | None
 
-    def _setup(self, nstates: int, nports: int, names: dict[str, Any], noutputs: int | None = None) -> None:
+    def _setup(self, nstates: int, nports: int, given: SystemNames, noutputs: int | None = None) -> None:
+        names: dict[str, Any] = {**given}
         noutputs = nports if noutputs is None else noutputs
         if "dt" in names:
             raise StructureError(
@@ -84,7 +85,6 @@ class LosslessSystem(ct.StateSpace):
         self._views = {}
         if names:
             _checks.known_keywords(f"a {type(self).__name__}", names)
-            names = dict(names)
             sizes = {"inputs": nports, "outputs": noutputs, "states": nstates}
             _checks.signal_names(names, **sizes)
             for kind, count in sizes.items():
@@ -175,7 +175,7 @@ class LosslessSystem(ct.StateSpace):
         """Number of degrees of freedom; there are 2n states."""
         return int(self.nstates) // 2
 
-    def _converted(self, **names: Any) -> PortHamiltonian:
+    def _converted(self, **names: Unpack[SystemNames]) -> PortHamiltonian:
         """Return the port-Hamiltonian system that `ph` makes of this one."""
         raise NotImplementedError
 
@@ -295,7 +295,7 @@ class LosslessSystem(ct.StateSpace):
         """
         return self.modes.zeros.copy()
 
-    def _names(self) -> dict[str, Any]:
+    def _names(self) -> SystemNames:
         """Names of the system and its signals, as its factory takes them."""
         return {
             "name": self.name,
@@ -361,7 +361,7 @@ class LosslessSystem(ct.StateSpace):
         return text + (f",\n{labels})" if labels else ")")
 
 
-def restored(kind: type[System], *parts: Any) -> System:
+def restored(kind: type[System], *parts: object) -> System:
     """System of parts that have been checked; the constructor of a subclass may take other arguments."""
     self = object.__new__(kind)
     self._fill(*parts)
@@ -384,12 +384,13 @@ def refuse_losses(sys: object, what: str) -> None:
         )
 
 
-def inherited_names(source: object, names: dict[str, Any], *kinds: str) -> dict[str, Any]:
+def inherited_names(source: object, names: SystemNames, *kinds: str) -> SystemNames:
     """Names given, completed by those of a system; python-control takes `input` for `inputs` and so on."""
     if not isinstance(source, ct.InputOutputSystem):
         return names
-    kept = {} if source._generic_name_check() else {"name": source.name}
+    kept: dict[str, Any] = {} if source._generic_name_check() else {"name": source.name}
     for kind in kinds:
         if names.get(kind) is None and names.get(kind[:-1]) is None:
             kept[kind] = getattr(source, kind[:-1] + "_labels")
-    return kept | {key: value for key, value in names.items() if value is not None or key not in kept}
+    kept |= {key: value for key, value in names.items() if value is not None or key not in kept}
+    return cast(SystemNames, kept)

@@ -7,17 +7,17 @@ They compute on modal coordinates; the coefficients are for looking at and for h
 from __future__ import annotations
 
 import warnings
-from typing import Any, TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 
 from .. import _checks
-from .._types import Array, ArrayLike
+from .._types import Array, ArrayLike, SystemNames, Unpack
 from ..exceptions import ConditioningWarning, StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics.polynomials import digits
 from ..symplectic.forms_and_williamson import symplectic_inverse
-from .base import LosslessSystem, View, inherited_names, refuse_losses, restored
+from .base import Convertible, LosslessSystem, View, inherited_names, refuse_losses, restored
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
 
 Form = TypeVar("Form", bound="_CanonicalForm")
@@ -28,10 +28,10 @@ _ENOUGH = 6.0  # decimal digits of the frequencies that a companion matrix shoul
 class _CanonicalForm(LosslessSystem):
     """Base of both forms: the parameters, their modes, and the coefficients."""
 
-    def __init__(self, d: ArrayLike, v: ArrayLike, **names: Any) -> None:
+    def __init__(self, d: ArrayLike, v: ArrayLike, **names: Unpack[SystemNames]) -> None:
         self._fill(*_checks.hamiltonian_parameters(d, v), names)
 
-    def _fill(self, d: Array, v: Array, names: dict[str, Any]) -> None:
+    def _fill(self, d: Array, v: Array, names: SystemNames) -> None:
         self._d, self._v = _checks.readonly(d), _checks.readonly(v)
         self._setup(len(self._v), 1, names)
 
@@ -98,7 +98,7 @@ class _CanonicalForm(LosslessSystem):
         """Column `(0 .. 0, 1)`."""
         return np.eye(2 * self.n, 1, k=1 - 2 * self.n)
 
-    def port_hamiltonian(self, S: ArrayLike | None = None, **names: Any) -> PortHamiltonian:
+    def port_hamiltonian(self, S: ArrayLike | None = None, **names: Unpack[SystemNames]) -> PortHamiltonian:
         """Port-Hamiltonian system `(S^T diag(d, d) S, S^{-1} v)` with the same transfer function, of the same size.
 
         Parameters
@@ -141,11 +141,11 @@ class _CanonicalForm(LosslessSystem):
     def _full_port_hamiltonian(self) -> PortHamiltonian:
         return self.port_hamiltonian()
 
-    def _converted(self, **names: Any) -> PortHamiltonian:
+    def _converted(self, **names: Unpack[SystemNames]) -> PortHamiltonian:
         modes = self.modes.minimal()
         return PortHamiltonian._from_modes(modes, **inherited_names(self, names, "inputs", "outputs"))
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return restored, (type(self), self._d.copy(), self._v.copy(), self._names())
 
     def _repr_eval_(self) -> str:
@@ -264,7 +264,7 @@ class ObservableHamiltonian(_CanonicalForm):
         return self._unit().T.copy()
 
 
-def ch(d: Any, v: ArrayLike | None = None, **names: Any) -> ControllableHamiltonian:
+def ch(d: ArrayLike | Convertible, v: ArrayLike | None = None, **names: Unpack[SystemNames]) -> ControllableHamiltonian:
     """Make a controllable Hamiltonian canonical form, from its parameters or from a lossless system.
 
     Parameters
@@ -301,7 +301,7 @@ def ch(d: Any, v: ArrayLike | None = None, **names: Any) -> ControllableHamilton
     return _make(ControllableHamiltonian, d, v, names)
 
 
-def oh(d: Any, v: ArrayLike | None = None, **names: Any) -> ObservableHamiltonian:
+def oh(d: ArrayLike | Convertible, v: ArrayLike | None = None, **names: Unpack[SystemNames]) -> ObservableHamiltonian:
     """Make an observable Hamiltonian canonical form, from its parameters or from a lossless system.
 
     Parameters
@@ -333,9 +333,9 @@ def oh(d: Any, v: ArrayLike | None = None, **names: Any) -> ObservableHamiltonia
     return _make(ObservableHamiltonian, d, v, names)
 
 
-def _make(kind: type[Form], d: Any, v: ArrayLike | None, names: dict[str, Any]) -> Form:
+def _make(kind: type[Form], d: ArrayLike | Convertible, v: ArrayLike | None, names: SystemNames) -> Form:
     if v is not None:
-        return kind(d, v, **names)
+        return kind(cast(ArrayLike, d), v, **names)
     source, names = d, inherited_names(d, names, "inputs", "outputs")
     if isinstance(source, _CanonicalForm):
         return kind(source.d, source.v, **names)

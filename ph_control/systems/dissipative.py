@@ -13,7 +13,7 @@ from scipy.linalg import block_diag, eigh, qr
 from .. import _checks
 from .._checks import EPS
 from .._display import latex_matrix, literal
-from .._types import Array, ArrayLike, ComplexArray
+from .._types import Array, ArrayLike, ComplexArray, SystemNames, Unpack
 from .._units import with_unit
 from ..exceptions import NotLosslessError, NotPassiveError, StructureError
 from ..modal.general_form import GeneralModalForm, from_state_space, refined
@@ -33,7 +33,7 @@ _SHOWN = {"G": "B", "sensor_rows": "the matrix C of the sensors", "sensor_feedth
 
 
 def _lossless_only(name: str, what: str) -> Any:
-    def refuse(self: DissipativePortHamiltonian, *args: Any, **kwargs: Any) -> NoReturn:
+    def refuse(self: DissipativePortHamiltonian, *args: object, **kwargs: object) -> NoReturn:
         refuse_losses(self, what)
         raise AssertionError
 
@@ -95,7 +95,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
     def __init__(
         self, Q: ArrayLike, B: ArrayLike, *, R: ArrayLike | None = None, P: ArrayLike | None = None,
         S: ArrayLike | None = None, N: ArrayLike | None = None, J: ArrayLike | None = None,
-        sensors: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None, **names: Any,
+        sensors: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None, **names: Unpack[SystemNames],
     ) -> None:  # fmt: skip
         Q = _checks.symmetric_matrix(Q, even=J is None)
         n = len(Q)
@@ -119,7 +119,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
             with suppress(StructureError):  # an energy that is negative by more than rounding has no frequencies
                 warn_of_ill_conditioning(Q, energy_coordinates(Q))
 
-    def _take(self, parts: dict[str, Array], names: dict[str, Any]) -> None:
+    def _take(self, parts: dict[str, Array], names: SystemNames) -> None:
         for name in PARTS:
             _checks.in_range(_SHOWN.get(name, name), parts[name])
         self._parts = {name: _checks.readonly(parts[name]) for name in PARTS}
@@ -248,7 +248,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
     rigid_modes = property(_lossless_only("rigid_modes", "rigid-body modes are"))
     _separation = _lossless_only("_separation", "the canonical part and its margins are")
 
-    def _converted(self, **names: Any) -> DissipativePortHamiltonian:
+    def _converted(self, **names: Unpack[SystemNames]) -> DissipativePortHamiltonian:
         names = inherited_names(self, names, "inputs", "outputs", "states")
         return restored(self._parts, names, self.time_unit, self.conversion)
 
@@ -262,7 +262,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
         _checks.in_range(f"B times the square root of {factor:.3g}", parts["G"], _checks.SMALLEST_SQUARED)
         return restored(parts, {}, self.time_unit)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         known = dict(self._parts), self._names(), self.time_unit, self.conversion
         return restored, known, self._attached()
 
@@ -314,7 +314,7 @@ def parts_of(sys: PortHamiltonian) -> dict[str, Array]:
 
 
 def restored(
-    parts: dict[str, Array], names: dict[str, Any], time_unit: str | None, conversion: Conversion | None = None
+    parts: dict[str, Array], names: SystemNames, time_unit: str | None, conversion: Conversion | None = None
 ) -> DissipativePortHamiltonian:
     """System of matrices that have been checked."""
     system = DissipativePortHamiltonian.__new__(DissipativePortHamiltonian)
@@ -324,7 +324,7 @@ def restored(
 
 
 def of_passive(
-    sys: ct.StateSpace, storage: str, refusal: NotLosslessError | None, names: dict[str, Any],
+    sys: ct.StateSpace, storage: str, refusal: NotLosslessError | None, names: SystemNames,
     error: ResponseError | None = None,
 ) -> DissipativePortHamiltonian:  # fmt: skip
     """Port-Hamiltonian form of a passive system, whose first outputs are those of its ports.
@@ -357,7 +357,7 @@ def minimal_of(system: DissipativePortHamiltonian) -> DissipativePortHamiltonian
                 else "its matrices are ill-conditioned; give it in better scaled states"
             )
             raise StructureError(f"no minimal form of {system.name!r} is known to be passive: {cause}") from error
-    names = {"inputs": system.input_labels, "outputs": system.output_labels}
+    names: SystemNames = {"inputs": system.input_labels, "outputs": system.output_labels}
     return restored(parts, names, system.time_unit, replace(conversion, hidden=conversion.hidden + still))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +12,7 @@ from scipy.linalg import block_diag, matrix_balance
 
 from .. import _checks
 from .._checks import EPS
-from .._types import Array
+from .._types import Array, SystemNames, Unpack
 from .._units import common_unit
 from ..exceptions import StructureError
 from ..symplectic.darboux_and_casimirs import split_casimirs
@@ -47,7 +47,7 @@ class _Whole(NamedTuple):
 # --- connections through a matrix ----------------------------------------------------------------------------------
 
 
-def interconnect(systems: Sequence[PortHamiltonian], F: ArrayLike, **names: Any) -> PortHamiltonian:
+def interconnect(systems: Sequence[PortHamiltonian], F: ArrayLike, **names: Unpack[SystemNames]) -> PortHamiltonian:
     """Connect port-Hamiltonian systems through their ports, `u = F y + w`.
 
     Parameters
@@ -111,7 +111,12 @@ def interconnect(systems: Sequence[PortHamiltonian], F: ArrayLike, **names: Any)
 
 
 def gyrator(
-    first: PortHamiltonian, second: PortHamiltonian, ratio: ArrayLike = 1.0, *, ports: Ports = (0, 0), **names: Any
+    first: PortHamiltonian,
+    second: PortHamiltonian,
+    ratio: ArrayLike = 1.0,
+    *,
+    ports: Ports = (0, 0),
+    **names: Unpack[SystemNames],
 ) -> PortHamiltonian:
     """Connect ports of two systems by a gyrator: each takes its input from the output of the other.
 
@@ -167,7 +172,7 @@ def feedback(first: PortHamiltonian, other: object) -> PortHamiltonian | None:
 
 
 def through_ports(
-    first: PortHamiltonian, other: PortHamiltonian | Array, ports: Sequence[int], **names: Any
+    first: PortHamiltonian, other: PortHamiltonian | Array, ports: Sequence[int], **names: Unpack[SystemNames]
 ) -> PortHamiltonian:
     """Negative feedback between chosen ports of a system and those of another, or a matrix `K + K^T >= 0`.
 
@@ -220,7 +225,9 @@ def append(first: PortHamiltonian, other: Any) -> PortHamiltonian | None:
 # --- rigid connections ---------------------------------------------------------------------------------------------
 
 
-def couple(first: PortHamiltonian, second: PortHamiltonian, *, ports: Ports = (0, 0), **names: Any) -> PortHamiltonian:
+def couple(
+    first: PortHamiltonian, second: PortHamiltonian, *, ports: Ports = (0, 0), **names: Unpack[SystemNames]
+) -> PortHamiltonian:
     """Join ports of two systems rigidly: equal outputs, opposite inputs, the force between them eliminated.
 
     Parameters
@@ -267,7 +274,12 @@ def couple(first: PortHamiltonian, second: PortHamiltonian, *, ports: Ports = (0
 
 
 def transformer(
-    first: PortHamiltonian, second: PortHamiltonian, ratio: ArrayLike = 1.0, *, ports: Ports = (0, 0), **names: Any
+    first: PortHamiltonian,
+    second: PortHamiltonian,
+    ratio: ArrayLike = 1.0,
+    *,
+    ports: Ports = (0, 0),
+    **names: Unpack[SystemNames],
 ) -> PortHamiltonian:
     """Join ports of two systems by a transformer, lever or gear: `y_2 = n y_1`, the force between them eliminated.
 
@@ -452,7 +464,7 @@ def _constant(K: Array) -> dict[str, Array]:
 
 
 def _looped(
-    whole: _Whole, F: Array, inputs: Array, *, kept: int | None = None, names: dict[str, Any] | None = None
+    whole: _Whole, F: Array, inputs: Array, *, kept: int | None = None, names: SystemNames | None = None
 ) -> PortHamiltonian:
     """Systems with `u = F y + E w`, `y_w = E^T y`; the names of the ports are those of the first `kept`."""
     part = whole.parts
@@ -485,10 +497,10 @@ def _structure(K: Array, into: Array, out: Array, D: Array) -> dict[str, Array]:
     }  # fmt: skip
 
 
-def _made(whole: _Whole, names: dict[str, Any]) -> PortHamiltonian:
+def _made(whole: _Whole, names: SystemNames) -> PortHamiltonian:
     """System of these matrices, lossless where nothing is lost and the structure matrix is invertible."""
     part = whole.parts
-    named = {kind: _texts(getattr(whole, kind), kind, whole.owners) for kind in LETTERS}
+    named: dict[str, Any] = {kind: _texts(getattr(whole, kind), kind, whole.owners) for kind in LETTERS}
     Q, G = part["Q"], part["G"]
     lossless = not (any(part[name].any() for name in "RPSN") or len(part["sensor_rows"]))
     if lossless and not is_canonical(part["J"]):
@@ -496,7 +508,7 @@ def _made(whole: _Whole, names: dict[str, Any]) -> PortHamiltonian:
         Q, G, named["states"] = split.Q, split.B, None
     named = {kind: labels for kind, labels in named.items() if labels and names.get(kind, names.get(kind[:-1])) is None}
     if not lossless:
-        return restored(part, {**names, **named}, whole.time_unit)
+        return restored(part, cast(SystemNames, {**names, **named}), whole.time_unit)
     made = PortHamiltonian._from_matrices(Q, G, **names, **named)
     made.time_unit = whole.time_unit
     return made

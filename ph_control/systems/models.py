@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._types import SystemNames, Unpack
 from ..exceptions import StructureError
 from .port_hamiltonian import PortHamiltonian, ph
 
@@ -17,7 +18,7 @@ Array = NDArray[np.float64]
 _LARGEST = 10**6  # masses of a chain: its matrices are dense
 
 
-def lc_circuit(C: ArrayLike, L: ArrayLike, *, R: ArrayLike = 0.0, **names: Any) -> PortHamiltonian:
+def lc_circuit(C: ArrayLike, L: ArrayLike, *, R: ArrayLike = 0.0, **names: Unpack[SystemNames]) -> PortHamiltonian:
     """Circuit of n parallel branches across a voltage source, each an inductor, a capacitor and a resistor in series.
 
     The paper's non-dissipative circuit, and Foster's second form of a lossless admittance: branch l has the
@@ -84,7 +85,7 @@ def spring_chain(
     c: ArrayLike = 0.0,
     ground_c: ArrayLike = 0.0,
     port: int | Sequence[int] = 0,
-    **names: Any,
+    **names: Unpack[SystemNames],
 ) -> PortHamiltonian:
     """Chain of masses, each tied to the next by a spring and a damper, and to the ground by others where wanted.
 
@@ -152,7 +153,7 @@ def spring_chain(
     return ph(Q, B, R=_losses(loss), **named(names, *force_names(len(ports)), numbered("q", n) + numbered("p", n)))
 
 
-def frenkel_kontorova(n: int = 2, **names: Any) -> PortHamiltonian:
+def frenkel_kontorova(n: int = 2, **names: Unpack[SystemNames]) -> PortHamiltonian:
     """Chain of n unit masses and unit springs, the first mass tied to the origin, the last one free.
 
     The paper's positive definite Frenkel-Kontorova model,
@@ -191,7 +192,13 @@ def frenkel_kontorova(n: int = 2, **names: Any) -> PortHamiltonian:
 
 
 def msd_chain(
-    n: int = 50, *, m: ArrayLike = 4.0, k: ArrayLike = 4.0, c: ArrayLike = 1.0, ports: int = 2, **names: Any
+    n: int = 50,
+    *,
+    m: ArrayLike = 4.0,
+    k: ArrayLike = 4.0,
+    c: ArrayLike = 1.0,
+    ports: int = 2,
+    **names: Unpack[SystemNames],
 ) -> PortHamiltonian:
     """Chain of masses with dampers to the ground, the last mass on a spring to a wall: a benchmark of model reduction.
 
@@ -243,7 +250,7 @@ def msd_chain(
 
 def rcl_ladder(
     n: int = 50, *, R: ArrayLike = 0.2, C: ArrayLike = 1.0, L: ArrayLike = 1.0, load: float = 0.4, ports: int = 1,
-    **names: Any,
+    **names: Unpack[SystemNames],
 ) -> PortHamiltonian:  # fmt: skip
     """Ladder of n cells, each a capacitor across and a resistor and an inductor along: a benchmark of model reduction.
 
@@ -355,7 +362,8 @@ def numbered(letter: str, count: int) -> list[str]:
     return [f"{letter}_{k}" for k in range(1, count + 1)]
 
 
-def named(names: dict[str, Any], inputs: list[str], outputs: list[str], states: list[str]) -> dict[str, Any]:
+def named(names: SystemNames, inputs: list[str], outputs: list[str], states: list[str]) -> SystemNames:
     """The user's names, and these where the user gave none; python-control takes `input` as well as `inputs`."""
     defaults = {"inputs": inputs, "outputs": outputs, "states": states}
-    return names | {key: value for key, value in defaults.items() if names.get(key, names.get(key[:-1])) is None}
+    new = {key: value for key, value in defaults.items() if names.get(key, names.get(key[:-1])) is None}
+    return cast(SystemNames, {**names, **new})

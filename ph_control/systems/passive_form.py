@@ -25,7 +25,7 @@ from slycot.exceptions import SlycotError, SlycotResultWarning
 
 from .. import _checks
 from .._checks import EPS
-from .._types import Array, ArrayLike, ComplexArray
+from .._types import Array, ArrayLike, ComplexArray, PortPairs
 from ..exceptions import ConditioningWarning, NotLosslessError, NotPassiveError, StructureError
 from ..modal.general_form import GeneralModalForm
 from ..modal.modal_form import Cluster
@@ -42,7 +42,6 @@ from ..modal.positive_real import (
 from ..modal.storage import KnownDirections, dissipation, semidefinite, storage_coordinates
 from ..numerics.invariant_subspaces import EliminationResolvent, SchurResolvent, equilibrated
 
-PortPairs = Sequence[tuple[int | str, int | str]]  # output and input of each port, by number or name
 Parts = dict[str, Array]
 
 _UNSEEN = 1e-13  # of the largest Hankel singular value: a state that ports do not reach or do not see

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import control as ct
 import numpy as np
@@ -13,7 +13,7 @@ from scipy.linalg import svdvals
 from .. import _checks
 from .._display import latex_matrix
 from .._options import STORAGES, Discretisation, Interpolation, Storage
-from .._types import Array, ArrayLike, ComplexArray
+from .._types import Array, ArrayLike, ComplexArray, PortPairs, SystemNames, Unpack
 from .._units import common_unit, with_unit
 from ..exceptions import ConditioningWarning, NotLosslessError, StructureError
 from ..modal import foster_test
@@ -34,7 +34,7 @@ from ..symplectic.forms_and_williamson import (
     williamson,
 )
 from .base import Convertible, LosslessSystem, View, inherited_names, refuse_losses, restored
-from .passive_form import Conversion, PortPairs, in_port_order, loses_energy, parts_of_resonators
+from .passive_form import Conversion, in_port_order, loses_energy, parts_of_resonators
 
 if TYPE_CHECKING:
     from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
@@ -105,7 +105,7 @@ class PortHamiltonian(LosslessSystem):
     _modes: ModalForm | None
     _given: tuple[Array, Array] | None
 
-    def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Any) -> None:
+    def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Unpack[SystemNames]) -> None:
         matrix = _checks.symmetric_matrix(Q)
         ports = _checks.port_matrix(B, len(matrix))
         inverse = _definite.not_surely_indefinite(matrix)
@@ -117,7 +117,7 @@ class PortHamiltonian(LosslessSystem):
         self,
         given: tuple[Array, Array] | None,
         modes: ModalForm | None,
-        names: dict[str, Any],
+        names: SystemNames,
         kept: dict[str, Any] | None = None,
     ) -> None:
         """Take matrices that have been checked, or modes, and views of them that are known."""
@@ -130,12 +130,12 @@ class PortHamiltonian(LosslessSystem):
             self._views[name] = _checks.readonly(view) if isinstance(view, np.ndarray) else view
 
     @classmethod
-    def _from_modes(cls, modes: ModalForm, **names: Any) -> PortHamiltonian:
+    def _from_modes(cls, modes: ModalForm, **names: Unpack[SystemNames]) -> PortHamiltonian:
         """System in Williamson coordinates, its matrices not built until somebody looks."""
         return restored(cls, None, modes, names)
 
     @classmethod
-    def _from_matrices(cls, Q: Array, B: Array, **names: Any) -> PortHamiltonian:
+    def _from_matrices(cls, Q: Array, B: Array, **names: Unpack[SystemNames]) -> PortHamiltonian:
         """System from arrays that have been checked as the constructor does."""
         return restored(cls, (Q, B), None, names)
 
@@ -498,7 +498,7 @@ class PortHamiltonian(LosslessSystem):
         combined = append(self, other)
         return super().append(other) if combined is None else combined
 
-    def _converted(self, **names: Any) -> PortHamiltonian:
+    def _converted(self, **names: Unpack[SystemNames]) -> PortHamiltonian:
         names = inherited_names(self, names, *_SIGNALS)
         return restored(PortHamiltonian, self._given, self._modes, names, self._kept(_OF_Q_AND_B))
 
@@ -525,7 +525,7 @@ class PortHamiltonian(LosslessSystem):
         names = "_time_unit", "structural_modes", "base_motion", "error_bound", "cost"
         return {name: getattr(self, name) for name in names}
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         known = self._given, self._modes, self._names(), self._kept(_OF_Q_AND_B)
         return restored, (type(self), *known), self._attached()
 
@@ -539,7 +539,7 @@ class PortHamiltonian(LosslessSystem):
         Q, B = latex_matrix(self.Q), latex_matrix(self.B)
         return rf"\dot z = J Q z + B u, \quad y = B^\top Q z, \quad Q = {Q}, \quad B = {B}"
 
-    def controllable_form(self, **names: Any) -> ControllableHamiltonian:
+    def controllable_form(self, **names: Unpack[SystemNames]) -> ControllableHamiltonian:
         """Controllable Hamiltonian canonical form with the same parameters: what `ch` makes of this system.
 
         Parameters
@@ -567,7 +567,7 @@ class PortHamiltonian(LosslessSystem):
 
         return ch(self, **names)
 
-    def observable_form(self, **names: Any) -> ObservableHamiltonian:
+    def observable_form(self, **names: Unpack[SystemNames]) -> ObservableHamiltonian:
         """Observable Hamiltonian canonical form with the same parameters: what `oh` makes of this system.
 
         Parameters
@@ -597,7 +597,7 @@ class PortHamiltonian(LosslessSystem):
 
 
 def ph(
-    Q: Any,
+    Q: ArrayLike | Convertible,
     B: ArrayLike | None = None,
     *,
     R: ArrayLike | None = None,
@@ -611,7 +611,7 @@ def ph(
     ports: PortPairs | None = None,
     method: Discretisation | None = None,
     intersample: Interpolation = "zoh",
-    **names: Any,
+    **names: Unpack[SystemNames],
 ) -> PortHamiltonian:
     """Make a port-Hamiltonian system.
 
@@ -705,6 +705,7 @@ def ph(
         system = _of_system(Q, storage, lossless, ports, method, intersample, names)
         return with_unit(system, common_unit(Q))
     _refuse_sampling(method, intersample)
+    Q = cast(ArrayLike, Q)
     if storage != "auto" or ports is not None:
         raise StructureError("storage and ports say how to convert a system; Q and B are given, which say it already")
     if sensors is not None or any(v is not None and _checks.real_array(name, v).any() for name, v in losses.items()):
@@ -752,7 +753,7 @@ def _of_system(
     ports: PortPairs | None,
     method: Discretisation | None,
     intersample: Interpolation,
-    names: dict[str, Any],
+    names: SystemNames,
 ) -> PortHamiltonian:
     """Port-Hamiltonian form of any linear system."""
     sampled = isinstance(source, ct.InputOutputSystem) and source.isdtime(strict=True)
@@ -792,7 +793,7 @@ def _of_system(
 
 
 def _as_it_is(
-    source: Convertible, storage: str, lossless: bool, ports: PortPairs | None, names: dict[str, Any]
+    source: Convertible, storage: str, lossless: bool, ports: PortPairs | None, names: SystemNames
 ) -> PortHamiltonian | None:
     """Form of lossless modes, or, unless storage or ports are given, of other modes and of systems of this package."""
     if isinstance(source, ModalForm) and source.is_lossless:
@@ -886,8 +887,9 @@ def _refuse_improper(source: ct.TransferFunction) -> None:
 
 
 def modes(
-    d: Any, r: ArrayLike | None = None, participation: ArrayLike | None = None, *, damping: ArrayLike | None = None
-) -> ModalForm:
+    d: ArrayLike | Convertible, r: ArrayLike | None = None, participation: ArrayLike | None = None, *,
+    damping: ArrayLike | None = None,
+) -> ModalForm:  # fmt: skip
     """Modal form of a system, or from frequencies and weights, or from poles and vectors.
 
     Parameters
@@ -933,10 +935,11 @@ def modes(
     if participation is not None:
         if r is None or damping is not None:
             raise StructureError("with participation give poles and shapes, and no damping: the poles have it")
-        return from_vectors(d, r, participation)
+        return from_vectors(cast(ArrayLike, d), r, participation)
     if r is None and damping is not None:
         raise StructureError("damping is that of natural frequencies and weights; give d and r")
     if r is not None:
+        d = cast(ArrayLike, d)
         return from_frequencies(d, r) if damping is None else with_damping(d, r, damping)
     if isinstance(d, ModalForm):
         return d

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, SupportsIndex
 
 import control as ct
 import numpy as np
@@ -64,14 +64,14 @@ class KalmanDecomposition(Sequence["PortHamiltonian | Array"]):
     def __len__(self) -> int:
         return 3
 
-    def __getitem__(self, index: Any) -> Any:
+    def __getitem__(self, index: SupportsIndex | slice) -> Any:
         names = ("reachable", "hidden", "T")[index]
         return getattr(self, names) if isinstance(names, str) else tuple(getattr(self, name) for name in names)
 
     def __repr__(self) -> str:
         return f"KalmanDecomposition(reachable=<{self.reachable.n} modes>, hidden=<{self.hidden.n} modes>)"
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return _restored, (self.reachable, self.hidden, self.T.copy())
 
 

@@ -8,7 +8,7 @@ import control as ct
 import numpy as np
 
 from .. import _checks
-from .._types import Array
+from .._types import Array, SystemNames, Unpack
 from ..exceptions import NotLosslessError
 from ..modal.modal_form import ModalForm
 from ..numerics.polynomials import cofactors, digits
@@ -18,7 +18,7 @@ from .canonical_forms import warn_of_lost_digits
 from .port_hamiltonian import ph
 
 
-def tf(sys: Convertible, **names: Any) -> ct.TransferFunction:
+def tf(sys: Convertible, **names: Unpack[SystemNames]) -> ct.TransferFunction:
     """Transfer function; of a lossless system of one port all coefficients have full relative accuracy.
 
     Parameters
@@ -66,11 +66,12 @@ def tf(sys: Convertible, **names: Any) -> ct.TransferFunction:
             raise
         return transfer_function(sys, **names) if isinstance(sys, ct.StateSpace) else ct.tf(sys, **names)
     _checks.signal_names(names, inputs=source.ninputs, outputs=source.noutputs, states=0)
+    given: dict[str, Any] = {**names}
     for kind, label in (("inputs", "input_labels"), ("outputs", "output_labels")):
-        if names.get(kind) is None and names.get(kind[:-1]) is None:
-            names[kind] = getattr(source, label)
+        if given.get(kind) is None and given.get(kind[:-1]) is None:
+            given[kind] = getattr(source, label)
     if not source._in_normal_form:
-        return transfer_function(source, **names)
+        return transfer_function(source, **given)
     modes = source.modes.minimal()
     warn_of_lost_digits(modes.n, digits(modes.d), "transfer function", stacklevel=3)
     if modes.nports == 1:
@@ -84,11 +85,11 @@ def tf(sys: Convertible, **names: Any) -> ct.TransferFunction:
             numerator = numerator[:-1]
         elif source._integrated:
             denominator = np.append(denominator, 0.0)
-        return ct.tf(numerator, denominator, **names)
+        return ct.tf(numerator, denominator, **given)
     numerators, denominator = _matrix_coefficients(modes)
     if source._integrated:
         denominator = np.append(denominator, 0.0)
-    return ct.tf(numerators, [[denominator] * modes.nports for _ in range(modes.nports)], **names)
+    return ct.tf(numerators, [[denominator] * modes.nports for _ in range(modes.nports)], **given)
 
 
 def _matrix_coefficients(modes: ModalForm) -> tuple[list[list[Array]], Array]:

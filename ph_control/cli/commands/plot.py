@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from argparse import Namespace
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import ph_control as phc
 
@@ -30,6 +30,9 @@ from ...exceptions import StructureError
 from ..inputs import Model, labels_of, measurements, read_models
 from ..options import Parser, add_labels, add_model, add_recording, add_written, pair, size, within
 from ..outputs import check_files, check_place, conclude, deliver_picture, picture_format
+
+if TYPE_CHECKING:
+    from control import ControlPlot, TimeResponseData
 
 USAGE = "KIND MODEL [MODEL ...] --out FILE [options]"
 
@@ -97,7 +100,7 @@ def _around(models: Sequence[Model], options: Namespace) -> dict[str, Any]:
     return {"confidence": [model.content if model.is_result else None for model in models], "level": options.band}
 
 
-def _bode(models: list[Model], labels: list[str], options: Namespace) -> Any:
+def _bode(models: list[Model], labels: list[str], options: Namespace) -> ControlPlot:
     data = measurements([options.recording], options).whole if options.recording else None
     return phc.bode_plot(
         [model.content for model in models], data=data, omega_limits=options.omega, Hz=options.hz, label=labels,
@@ -105,7 +108,7 @@ def _bode(models: list[Model], labels: list[str], options: Namespace) -> Any:
     )  # fmt: skip
 
 
-def _transient(models: list[Model], labels: list[str], options: Namespace) -> Any:
+def _transient(models: list[Model], labels: list[str], options: Namespace) -> ControlPlot:
     draw = phc.step_plot if options.kind == "step" else phc.impulse_plot
     return draw(
         [model.content for model in models], options.until, label=labels, title=options.title,
@@ -113,19 +116,19 @@ def _transient(models: list[Model], labels: list[str], options: Namespace) -> An
     )  # fmt: skip
 
 
-def _modes(models: list[Model], labels: list[str], options: Namespace) -> Any:
+def _modes(models: list[Model], labels: list[str], options: Namespace) -> ControlPlot:
     given = [model.content if model.is_result else model.port_hamiltonian() for model in models]
     return phc.modes_plot(
         given, Hz=options.hz, label=labels, title=options.title, gain_unit=options.unit, time_unit=options.time_unit
     )
 
 
-def _poles(models: list[Model], labels: list[str], options: Namespace) -> Any:
+def _poles(models: list[Model], labels: list[str], options: Namespace) -> ControlPlot:
     given = [model.content for model in models]
     return phc.pole_zero_plot(given, Hz=options.hz, label=labels, title=options.title, time_unit=options.time_unit)
 
 
-def _energy(models: list[Model], labels: list[str], options: Namespace) -> Any:
+def _energy(models: list[Model], labels: list[str], options: Namespace) -> ControlPlot:
     from ...systems.port_hamiltonian import full_port_hamiltonian
 
     systems = [full_port_hamiltonian(model.port_hamiltonian()) for model in models]
@@ -140,7 +143,7 @@ def _energy(models: list[Model], labels: list[str], options: Namespace) -> Any:
     )  # fmt: skip
 
 
-def _driven(system: phc.PortHamiltonian, options: Namespace) -> Any:
+def _driven(system: phc.PortHamiltonian, options: Namespace) -> TimeResponseData:
     """Response from rest, with states, to the recorded input or to a unit step."""
     import numpy as np
 
@@ -162,7 +165,7 @@ def _driven(system: phc.PortHamiltonian, options: Namespace) -> Any:
     return with_unit(phc.forced_response(system, time, inputs, return_states=True, intersample="zoh"), record.time_unit)
 
 
-def _fit(models: list[Model], labels: list[str], options: Namespace) -> Any:
+def _fit(models: list[Model], labels: list[str], options: Namespace) -> ControlPlot:
     if len(models) != 1 or not models[0].is_result:
         raise StructureError("fit draws one result of a fit; pass the file of ph-control fit --result")
     result = models[0].content

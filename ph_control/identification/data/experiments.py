@@ -187,9 +187,7 @@ def _each_experiment(
     return tuple(checked)
 
 
-def as_record(
-    data: object, dt: float | None = None, *, input_needed: bool = True, output_needed: bool = True
-) -> Record:
+def as_record(data: Any, dt: float | None = None, *, input_needed: bool = True, output_needed: bool = True) -> Record:
     """Make one record in time of data that `as_experiments` takes; a record is returned as it is."""
     records = (data,) if isinstance(data, Record) else as_experiments(data, dt, output_needed=output_needed)
     record = records[0]

@@ -14,10 +14,11 @@ import numpy as np
 from scipy.stats import norm, t
 
 from ..._types import Array, Indices, RealOrComplex
-from ..data.channels import Recording
+from ..data.channels import Recording, ResponseMatrix
 from ..data.time_record import LONG, Signal, blocks, is_long
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
+from ..search.channel_rows import Experiments
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from ..search.whitening import foretold
@@ -239,7 +240,7 @@ def _price(level: Array) -> float:
 # --- as findings -----------------------------------------------------------------------------------------------------
 
 
-def findings_of(channels: Sequence[Any], gain: float) -> list[Finding]:
+def findings_of(channels: Experiments, gain: float) -> list[Finding]:
     """One of each recording and output whose noise changes: first sample and level of each span, one after the other.
 
     Of outputs that change together one for all.
@@ -277,13 +278,13 @@ def levels_of(findings: Sequence[Finding], channels: Sequence[Any]) -> list[Arra
     return levels
 
 
-def level_of(channel: Any) -> Array | None:
+def level_of(channel: Recording | ResponseMatrix) -> Array | None:
     """Level of the noise of a recording (p, T), None where it does not change."""
     level: Array | None = getattr(channel, "level", None)
     return level
 
 
-def experiments_of(rows: Sequence[Any], channels: Sequence[Any]) -> Indices:
+def experiments_of(rows: Sequence[Any], channels: Experiments) -> Indices:
     """Which experiment each of some rows is from: experiments have rows for the outputs that they observe."""
     ends = np.cumsum([int(channel.observed.any(axis=-1).sum()) for channel in channels])
     starts = np.cumsum([0, *(len(record.outputs) for record in rows)])[:-1]

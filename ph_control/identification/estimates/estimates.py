@@ -208,7 +208,7 @@ def _of_recording(structure: FittedStructure, channel: Recording, rows: _Rows) -
     )
 
 
-def _of_response(structure: FittedStructure, channel: Any, rows: _Rows) -> FittedChannels:
+def _of_response(structure: FittedStructure, channel: ResponseMatrix, rows: _Rows) -> FittedChannels:
     """What the fit says of a response matrix, from the next of the rows."""
     free, n = structure.free, len(structure.measured.p)
     p, m, entries = len(channel.output_labels), len(channel.input_labels), len(free.scales)

@@ -292,11 +292,7 @@ def _observed(record: Recording) -> Any:
 
 
 def _noise_and_motions(
-    plant: PlannedPlant,
-    records: Sequence[Recording],
-    holds: Sequence[Hold],
-    from_rest: bool,
-    noise_std: ArrayLike | None,
+    plant: PlannedPlant, records: Sequence[Recording], holds: Sequence[Hold], from_rest: bool, noise_std: Any
 ) -> tuple[NoiseModel | None, list[ComplexArray]]:
     """Noise that is given, that of a fit, or what the plant leaves of the outputs; and free motions fitted to these."""
     noise = plant.noise_at(records[0].dt, noise_std)

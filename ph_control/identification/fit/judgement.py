@@ -18,7 +18,7 @@ from ..._display import counted, p_value
 from ..._types import Array, NDArray, RealOrComplex
 from ..._units import DERIVATIVES
 from ...modal.discretization import Hold
-from ..data.channels import Recording
+from ..data.channels import Recording, ResponseMatrix
 from ..data.time_record import Difference, Record, Signal, blocks
 from ..diagnosis.fitted_directions import directions_of
 from ..diagnosis.noise_levels import level_of, outliers, saturation, stuck
@@ -326,7 +326,7 @@ def _whiteness(estimates: Estimates) -> float:
     return ljung_box(rows, TUNING.lags, shared=in_rows(shared), local=in_rows(local))
 
 
-def _rows(experiment: FittedChannels, channel: Any) -> list[Signal]:
+def _rows(experiment: FittedChannels, channel: Recording | ResponseMatrix) -> list[Signal]:
     """Real residuals of each output, or real and imaginary parts of those of each entry of a response.
 
     Of a response without its peaks: a few points at a resonance outweigh all others, and alone look white.
@@ -337,7 +337,7 @@ def _rows(experiment: FittedChannels, channel: Any) -> list[Signal]:
     return [without_peaks(part) for row in residuals for part in (row[:].real, row[:].imag)]
 
 
-def _residuals(experiment: FittedChannels, channel: Any) -> dict[str, Signal]:
+def _residuals(experiment: FittedChannels, channel: Recording | ResponseMatrix) -> dict[str, Signal]:
     """Residuals by label of the output, or of the entry of a response, where they are weighted; of those measured.
 
     Where the noise of the `channel` changes they are in units of its level.
@@ -357,7 +357,7 @@ def _residuals(experiment: FittedChannels, channel: Any) -> dict[str, Signal]:
     return {label: row for label, row in entries if not np.isnan(row).all()}
 
 
-def _in_rows(record: Any, channel: Any, values: NDArray[Any]) -> list[Array]:
+def _in_rows(record: Any, channel: Recording | ResponseMatrix, values: NDArray[Any]) -> list[Array]:
     """Directions (T, k) of a record as its residuals are; of a response their real and imaginary parts, weighted."""
     if isinstance(record, Record):
         level = level_of(channel)

@@ -138,7 +138,7 @@ def _checked_input_delay(value: ArrayLike, channels: Channels) -> Array | None:
     return times
 
 
-def request_of(channels: Channels, structure: str, ports: object, quantity: object, options: Options) -> Request:
+def request_of(channels: Channels, structure: str, ports: Any, quantity: object, options: Options) -> Request:
     """Check structure, ports and quantities against the channels."""
     outputs, inputs = channels[0].output_labels, channels[0].input_labels
     quantities = checked_quantities(quantity, outputs)

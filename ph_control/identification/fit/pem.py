@@ -29,7 +29,7 @@ from ..._options import (
     Structure,
 )
 from ..._threads import on_one_thread
-from ..._types import ArrayLike, ComplexArray, OneOrEach, RandomSource
+from ..._types import ArrayLike, ComplexArray, OneOrEach, PortPairs, RandomSource
 from ..._workers import check_workers
 from ...exceptions import IdentifiabilityWarning, StructureError
 from ..data.channels import Channels, ResponseHold
@@ -66,7 +66,7 @@ def pem(
     rng: RandomSource = None,
     callback: Callback | None = None,
     structure: Structure = "auto",
-    ports: Any = None,
+    ports: PortPairs | None = None,
     real_poles: int | Literal["auto"] = "auto",
     delay: ArrayLike | Literal["auto"] = "auto",
     input_delay: ArrayLike | Literal["auto"] = "auto",

@@ -15,7 +15,7 @@ from ... import _checks
 from ..._display import counted
 from ..._frozen import ReadOnlyMapping
 from ..._options import PREDICTED_STATES, Discretisation, Interpolation, PredictedState
-from ..._types import Array, ArrayLike, ComplexArray, RandomSource, RealOrComplex
+from ..._types import Array, ArrayLike, ComplexArray, RandomSource, RealOrComplex, SystemNames
 from ..._units import DERIVATIVES, common_unit, hertz_size, with_unit
 from ...analysis.spectral_window import SpectralWindow
 from ...exceptions import ConditioningWarning, NoSuchQuantityError, NotPassiveError, StructureError
@@ -387,8 +387,8 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         """
         inputs = [i for _, i in self.ports]
         if self.structure == "lossless" and self._has_weights and inputs:
-            known_as = {"inputs": _checks.without_dots(self.input_labels),
-                        "outputs": _checks.without_dots(self.output_labels)}  # fmt: skip
+            known_as: SystemNames = {"inputs": _checks.without_dots(self.input_labels),
+                                     "outputs": _checks.without_dots(self.output_labels)}  # fmt: skip
             return with_unit(PortHamiltonian._from_modes(self.modes, **known_as), self.time_unit)
         if (
             self.structure in ("free", PARAMETRIC)

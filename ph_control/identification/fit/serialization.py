@@ -49,6 +49,8 @@ _MAY_BE_NAN = {
 
 # the length of each array, None where the file decides it; of places in a list, how many there are
 Shapes = Mapping[str, tuple[int | None, ...]]
+Kind = Record | FrequencyRecord | Recording | ResponseMatrix
+Fitted = FittedExperiment | FittedChannels
 
 
 # --- by the types of fields ------------------------------------------------------------------------------------------
@@ -185,7 +187,7 @@ def _split(table: Fields, orders: tuple[int, ...]) -> list[Array]:
 # --- its experiments, and its damped model ---------------------------------------------------------------------------
 
 
-def _experiments(fields: Fields, n: int, records: Sequence[Any] = (), states: int | None = None) -> tuple[Any, ...]:
+def _experiments(fields: Fields, n: int, records: Sequence[Kind] = (), states: int | None = None) -> tuple[Fitted, ...]:
     """Experiments of a fit of n poles and some states, of records that are known or stored with them."""
     states = 2 * n if states is None else states
     inner = fields.nested("experiments")
@@ -198,7 +200,7 @@ def _experiments(fields: Fields, n: int, records: Sequence[Any] = (), states: in
     return experiments
 
 
-def _record(fields: Fields) -> Any:
+def _record(fields: Fields) -> Kind:
     """Data of one input and output, or of several channels."""
     in_time, single = "time" in fields, "output_label" in fields
     samples = len(fields.array("time" if in_time else "omega", (None,)))
@@ -213,7 +215,7 @@ def _record(fields: Fields) -> Any:
     return _read(kinds[not in_time], fields, shapes, **known)
 
 
-def _experiment(fields: Fields, n: int, states: int, record: Any) -> Any:
+def _experiment(fields: Fields, n: int, states: int, record: Kind) -> Fitted:
     in_time, single = isinstance(record, InTime), isinstance(record, Record | FrequencyRecord)
     # damped modes do not predict a response where nothing was measured
     predicted = (fields.array if in_time else fields.complex_array)("predicted", record.measured.shape, finite=False)
@@ -271,7 +273,7 @@ def _noise(fields: Fields, outputs: int) -> NoiseModel | None:
     return _read(NoiseModel, inner, shapes, states=states)
 
 
-def _modal_from_dict(fields: Fields, records: Sequence[Any] = ()) -> Any:
+def _modal_from_dict(fields: Fields, records: Sequence[Kind] = ()) -> PEMResult:
     poles = fields.complex_array("poles", (None,))
     n, modes = len(poles), int(np.sum(poles.imag != 0))
     experiments = _experiments(fields, n, records, n + modes)
@@ -309,7 +311,7 @@ def _parameters(fields: Fields) -> FittedParameters | None:
     return _read(FittedParameters, inner, shapes)
 
 
-def _from_dict(fields: Fields) -> Any:
+def _from_dict(fields: Fields) -> PEMResult:
     if "poles" in fields:
         return _modal_from_dict(fields)
     return _read(PEMResult, fields, order_table=_order_table(fields), **_lossless_parts(fields, _experiments))

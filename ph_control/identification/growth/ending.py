@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +12,7 @@ from ..regression.free import FreeProjection
 from ..regression.frequency_rows import FURTHER_TERMS, FreeResponse, Term
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
+from ..search.channel_rows import Experiments
 from ..search.fitted_modes import FreeFit, are_broad
 from ..search.free_search import FreeModel, Records, Responses
 from ..search.path import EXACT, FreePath
@@ -26,7 +25,7 @@ _SETTLED = 1e-6  # relative change of the likelihood, over the samples
 
 
 def end_of_search(
-    path: FreePath, start: ComplexArray, most: int, automatic: bool, channels: Sequence[Any], *, either_hold: bool,
+    path: FreePath, start: ComplexArray, most: int, automatic: bool, channels: Experiments, *, either_hold: bool,
     refined: bool = True,
 ) -> FreeFit:  # fmt: skip
     """Search, if no model is known, and return the last minimum, with what makes that under the other hold.
@@ -63,7 +62,7 @@ def end_of_search(
 
 
 def with_other_hold(
-    path: FreePath, fit: FreeFit, model: FreeModel, channels: Sequence[Any], automatic: bool, refined: bool = True
+    path: FreePath, fit: FreeFit, model: FreeModel, channels: Experiments, automatic: bool, refined: bool = True
 ) -> FreeFit:  # fmt: skip
     """Return a finished fit with what makes that under the other hold of the inputs, if records have any."""
     if not (isinstance(path.plain, Records) and fit.states and fit.projection.inputs):
@@ -73,7 +72,7 @@ def with_other_hold(
 
 
 def _held_otherwise(
-    path: FreePath, fit: FreeFit, model: FreeModel, plain: Records, channels: Sequence[Any], automatic: bool,
+    path: FreePath, fit: FreeFit, model: FreeModel, plain: Records, channels: Experiments, automatic: bool,
     refined: bool,
 ) -> FreeFit:  # fmt: skip
     """Fit with the inputs held otherwise, from the poles of a fit."""
@@ -84,7 +83,7 @@ def _held_otherwise(
 
 
 def finished(
-    path: FreePath, model: FreeModel, channels: Sequence[Any], automatic: bool = False, interrupted: bool = False,
+    path: FreePath, model: FreeModel, channels: Experiments, automatic: bool = False, interrupted: bool = False,
     refined: bool = True,
 ) -> FreeFit:  # fmt: skip
     """Find the last minimum of a model; what is fed through only where it stands out, or has to be.

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import control as ct
 import numpy as np
@@ -22,15 +22,12 @@ from scipy.special import chdtrc, chndtr, ndtri
 
 from ..._display import Report, aligned, counted, p_value
 from ..._frozen import Frozen
-from ..._types import Array, Indices
+from ..._types import Array, Indices, Unpack
 from ..._units import hertz_size
 from ...exceptions import StructureError
 from ...plotting.style import ZERO, AxesGiven, FrameStyle, Look, picture
 from ..change.score_test import ChangeTest, Score, known_parameters, root_of_covariance
 from .recordings import Modes
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 _SHOWN = 40  # lines of a table, beyond which its middle is left out
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import control as ct
 import numpy as np
@@ -16,12 +16,9 @@ from scipy.special import ndtri
 from ... import _checks
 from ..._display import Report, aligned, counted
 from ..._frozen import Frozen
-from ..._types import Array, ComplexArray, Indices, NDArray
+from ..._types import Array, ComplexArray, Indices, NDArray, Unpack
 from ...numerics.modal_assurance import mac
 from ...plotting.style import BAND, DOTS, AxesGiven, FrameStyle, Look, labelled, picture
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 _TREND = 5  # recordings of a mode from which on they have a trend
 

@@ -8,7 +8,7 @@ of freedom that were not measured.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
@@ -23,6 +23,7 @@ from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask
 from ..._units import hertz_size
 from ...exceptions import StructureError
 from ...numerics.modal_assurance import mac
+from ...systems.base import Convertible
 from ..uncertainty.draws import normal_interval
 from .fitted_parameters import FittedParameters, ParameterInformation, named_combination
 from .model_function import ModelFunction
@@ -156,7 +157,8 @@ class ModelUpdate(Report, Frozen):
 
 
 def update_model(
-    f: Any, theta0: Any, result: Any, *, bounds: object = None, quantities: Sequence[ModalQuantity] | None = None,
+    f: Callable[[Array], Convertible], theta0: ArrayLike | Mapping[str, float], result: Any, *,
+    bounds: object = None, quantities: Sequence[ModalQuantity] | None = None,
     outputs: Any = None, modes: Any = None, prior: ArrayLike | None = None,
 ) -> ModelUpdate:  # fmt: skip
     """Parameters of a computed model that bring its modes to those of a fit, with errors.

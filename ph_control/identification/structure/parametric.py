@@ -18,7 +18,7 @@ import numpy as np
 from ..._types import Array, ComplexArray, Indices, Mask
 from ..._units import common_unit
 from ...exceptions import StructureError
-from ..data.channels import Recording
+from ..data.channels import Channels, Recording
 from ..data.windowed import have_shared_errors, shared_score_covariance
 from ..diagnosis.verdict import HypothesisTest
 from ..parameters.fitted_parameters import FittedParameters, ParameterInformation, ParametricPoint, named_combination
@@ -47,7 +47,7 @@ _BROAD = 3.0  # times the largest damping ratio of a model, from which on a fitt
 _STRONG = 100.0, 5.0  # sum of squares of a mode, and for each of its unknowns, from which on a free model may have it
 
 
-def for_channels(function: ModelFunction, channels: Sequence[Any]) -> ModelFunction:
+def for_channels(function: ModelFunction, channels: Channels) -> ModelFunction:
     """A function whose system has the channels of the data, called once to see that it has."""
     first = channels[0]
     longest = [data.dt * data.samples if isinstance(data, Recording) else 1 / _lowest(data.omega) for data in channels]

@@ -15,7 +15,7 @@ from scipy.special import log_ndtr, ndtri_exp, stdtrit
 
 from ... import _checks
 from ..._frozen import Frozen, ReadOnlyMapping
-from ..._types import Array, ArrayLike, Mask
+from ..._types import Array, ArrayLike, Mask, RandomSource, RealOrComplex
 from ...exceptions import StructureError
 
 _MOST = 10**9  # draws
@@ -72,7 +72,7 @@ def intervals(
 ) -> ReadOnlyMapping:
     """Confidence intervals of estimates by name; of complex ones those of real and imaginary parts."""
 
-    def ends(name: str, part: Callable[[Any], Any]) -> Array:
+    def ends(name: str, part: Callable[[RealOrComplex], RealOrComplex]) -> Array:
         return normal_interval(part(values[name]), part(errors[name]), level, lower=lower.get(name, -np.inf), dof=dof)
 
     return ReadOnlyMapping(
@@ -89,8 +89,9 @@ def tail_of(level: object) -> float:
 
 
 def draw(
-    mean: ArrayLike, covariance: ArrayLike, k: int, rng: Any = None, *, nonnegative: Any = None, positive: Any = None
-) -> Array:
+    mean: ArrayLike, covariance: ArrayLike, k: int, rng: RandomSource = None, *, nonnegative: ArrayLike | None = None,
+    positive: ArrayLike | None = None,
+) -> Array:  # fmt: skip
     """Draw from a normal distribution restricted to what the parameters may be.
 
     Parameters
@@ -142,7 +143,7 @@ def draw(
     return draws
 
 
-def draws_from(k: object, rng: Any) -> tuple[int, np.random.Generator]:
+def draws_from(k: object, rng: RandomSource) -> tuple[int, np.random.Generator]:
     """Check how many draws are wanted, and from where."""
     return _checks.whole_number("k", k, 0, _MOST), _checks.random_generator(rng)
 

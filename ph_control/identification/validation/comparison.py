@@ -24,7 +24,7 @@ from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import InTime
 from ..fit.pem_result import PEMResult
 from ..fit.prediction_ahead import checked_horizon
-from ..regression.prediction import chosen_experiment
+from ..regression.prediction import Pairs, chosen_experiment
 from .measured import (
     HeldData,
     HeldExperiment,
@@ -35,7 +35,7 @@ from .measured import (
     names_of,
     rms_of,
 )
-from .simulation import Rules, simulations_of
+from .simulation import Model, Rules, simulations_of
 
 _SHOWN = 8  # experiments listed one by one
 
@@ -261,7 +261,7 @@ class Comparison(Report, HeldData, Frozen):
 
 def compare(
     data: object,
-    *models: Any,
+    *models: Model,
     dt: OneOrEach = None,
     method: Discretisation = "exact",
     intersample: InterpolationOrAuto = "auto",
@@ -411,7 +411,7 @@ def compare(
     )
 
 
-def _measures(answers: Sequence[Any]) -> dict[str, Array]:
+def _measures(answers: Sequence[Pairs]) -> dict[str, Array]:
     """Fit of each model, and of its outputs, with the errors of these, from what it answers to each experiment."""
     return {
         "fit_percent": np.array([fit_to(pairs) for pairs in answers]),

@@ -63,7 +63,7 @@ class HeldData:
         """Frequencies of all responses, shape (T,), rad per unit time; raises `StructureError` for records in time."""
         return self._joined(InFrequency, "omega", "records in time and have no frequencies; use time")
 
-    def _joined(self, kind: Any, name: str, what: str) -> Array:
+    def _joined(self, kind: type, name: str, what: str) -> Array:
         parts = [
             getattr(experiment.record, name) for experiment in self.experiments if isinstance(experiment.record, kind)
         ]

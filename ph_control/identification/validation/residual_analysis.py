@@ -42,7 +42,7 @@ from .measured import (
     fit_to,
     names_of,
 )
-from .simulation import Rules, Simulation, simulations_of
+from .simulation import Model, Rules, Simulation, simulations_of
 
 _LAGS = 25  # by default, where the data are long enough
 _SAMPLES_PER_LAG = 5
@@ -303,7 +303,7 @@ class ResidualAnalysis(Report, HeldData, Frozen):
 
 def residual_analysis(
     data: object,
-    model: Any,
+    model: Model,
     *,
     dt: OneOrEach = None,
     method: Discretisation = "exact",
@@ -412,7 +412,7 @@ def residual_analysis(
     return _analysed(records, name, answers, L, level, (steps, simulated, beside.whiteness))
 
 
-def _largest_lag(lags: object, records: tuple[Any, ...]) -> int:
+def _largest_lag(lags: object, records: tuple[Kind, ...]) -> int:
     longest = max(record.samples for record in records)
     if lags is None:
         count = sum(int(record.observed.sum()) for record in records)

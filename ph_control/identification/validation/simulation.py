@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import control as ct
 import numpy as np
@@ -20,9 +20,9 @@ from ...modal.discretization import Hold, MatrixStep
 from ...modal.modal_form import ModalForm, imaginary
 from ...modal.propagation import step_through
 from ...numerics.invariant_subspaces import equilibrated
-from ...numerics.rational import state_space
+from ...numerics.rational import LinearSystem, state_space
 from ...systems.affine import AffineHamiltonian
-from ...systems.base import LosslessSystem, in_normal_form
+from ...systems.base import Convertible, LosslessSystem, in_normal_form
 from ...systems.canonical_forms import ObservableHamiltonian
 from ...systems.port_hamiltonian import ph
 from ..data.channels import Recording, ResponseMatrix, recording, several
@@ -32,9 +32,10 @@ from ..data.windowed import windowed_response
 from ..diagnosis.fitted_directions import Directions, directions_of, same_data
 from ..fit.pem_result import PEMResult
 from ..fit.prediction_ahead import ahead, ahead_of_growth, grows, is_simulated
-from ..regression.prediction import halved
+from ..regression.prediction import FittedChannels, FittedExperiment, halved
 
 Kind = Record | FrequencyRecord | Recording | ResponseMatrix
+Model: TypeAlias = PEMResult | Convertible
 
 _STEP_TOLERANCE = 0.01  # as between the time of a record and its dt
 _DIVERGED = 1e10  # times the measured output: forced and free motion then cancel to a few digits
@@ -96,7 +97,7 @@ class Rules:
 
 
 def simulations_of(
-    models: Sequence[Any], labels: Sequence[str], records: Sequence[Kind], rules: Rules
+    models: Sequence[Model], labels: Sequence[str], records: Sequence[Kind], rules: Rules
 ) -> list[list[Simulation]]:
     """What each model says of each experiment; errors name the experiment if there are several."""
     simulations = []
@@ -112,7 +113,7 @@ def simulations_of(
     return simulations
 
 
-def _simulation_of(model: Any, label: str, record: Kind, rules: Rules) -> Simulation:
+def _simulation_of(model: Model, label: str, record: Kind, rules: Rules) -> Simulation:
     """What a `PEMResult`, a system of this package, or a linear system of python-control says of an experiment."""
     if isinstance(model, PEMResult):
         return _prediction_ahead(_simulation_of_fit(model, label, record, rules), model, record, rules)
@@ -125,7 +126,7 @@ def _simulation_of(model: Any, label: str, record: Kind, rules: Rules) -> Simula
     return _with_free_motion(_linear_motions(system, label, record, hold), label, record, rules)
 
 
-def _refuse_fitted(model: Any, label: str, rules: Rules) -> None:
+def _refuse_fitted(model: Model, label: str, rules: Rules) -> None:
     if rules.initial_state == "fitted":
         raise StructureError(
             f"initial_state='fitted' is that of a PEMResult; model {label!r} is a {type(model).__name__}, which keeps "
@@ -133,7 +134,7 @@ def _refuse_fitted(model: Any, label: str, rules: Rules) -> None:
         )
 
 
-def _keeps_its_state(experiment_fit: Any, initial_state: str) -> bool:
+def _keeps_its_state(experiment_fit: FittedExperiment | FittedChannels, initial_state: str) -> bool:
     """Whether the rules want the prediction of the fit itself, from the initial state that it has estimated."""
     if isinstance(experiment_fit.record, InFrequency) or initial_state == "fitted":
         return True
@@ -145,7 +146,7 @@ def _no_directions(record: Kind) -> Directions:
     return Directions(*np.zeros((2, record.samples, 0)))
 
 
-def _system_of(model: Any, label: str, record: Kind) -> Any:
+def _system_of(model: Model, label: str, record: Kind) -> LinearSystem:
     """The system of a model; refuse what is no linear system, or has not the channels of the data."""
     system = _system_of_form(model) if isinstance(model, ModalForm) else model
     if not isinstance(system, ct.StateSpace | ct.TransferFunction):
@@ -157,7 +158,7 @@ def _system_of(model: Any, label: str, record: Kind) -> Any:
     return system
 
 
-def _system_of_form(form: Any) -> Any:
+def _system_of_form(form: Any) -> ct.StateSpace:
     """System of a modal form; one that is not passive has a state space only."""
     try:
         return ph(form)
@@ -165,7 +166,7 @@ def _system_of_form(form: Any) -> Any:
         return form.state_space()
 
 
-def _matching_channels(model: Any, label: str, record: Kind) -> tuple[Indices, Indices]:
+def _matching_channels(model: LinearSystem, label: str, record: Kind) -> tuple[Indices, Indices]:
     """Which outputs and inputs of a model are those of the data: by their labels if these are the same, or in order.
 
     Without an input all those of the model are at rest.
@@ -322,7 +323,7 @@ def _own_directions(model: PEMResult, place: int) -> Directions:
 # --- lossless systems ------------------------------------------------------------------------------------------------
 
 
-def _lossless_motions(system: Any, record: Record, hold: Hold) -> Motions:
+def _lossless_motions(system: LosslessSystem, record: Record, hold: Hold) -> Motions:
     """Motions of a system of the package without losses."""
     forced = forced_response(system, record.time, record.u, method=hold.method, intersample=hold.intersample).y
     growth = float(np.hypot(1.0, hold.h * system.modes.d.max(initial=0.0))) if hold.method == "euler" else 1.0
@@ -350,7 +351,7 @@ def _lossless_columns(system: LosslessSystem, samples: int, hold: Hold) -> Array
 # --- other linear systems --------------------------------------------------------------------------------------------
 
 
-def _linear_motions(model: Any, label: str, record: Record | Recording, hold: Hold) -> Motions:
+def _linear_motions(model: Model, label: str, record: Record | Recording, hold: Hold) -> Motions:
     """Motions of a linear system: of one in discrete time as it is, by the rule of `hold` otherwise."""
     try:
         system = state_space(model)
@@ -402,7 +403,7 @@ def _free_motions(F: Array, C: Array, samples: int) -> Array:
 # --- frequency responses ---------------------------------------------------------------------------------------------
 
 
-def _response(model: Any, label: str, record: FrequencyRecord | ResponseMatrix) -> ComplexArray:
+def _response(model: Model, label: str, record: FrequencyRecord | ResponseMatrix) -> ComplexArray:
     """Response at the frequencies of a record; refused where it is infinite at a point that was measured."""
     background = getattr(model, "background", None)
     delays = np.add.outer(model.delay, model.input_delay) if isinstance(model, PEMResult) else np.zeros((1, 1))
@@ -456,7 +457,7 @@ def _windowed_response(model: Any, system: Any, label: str, record: FrequencyRec
     return estimated_response(held_window, np.stack(impulse_responses, axis=1), record.omega)
 
 
-def _sampled_phases(system: Any, label: str, record: FrequencyRecord | ResponseMatrix) -> Array:
+def _sampled_phases(system: LinearSystem, label: str, record: FrequencyRecord | ResponseMatrix) -> Array:
     """Phase between samples of a discrete-time system at each frequency, below half a turn."""
     if isinstance(system.dt, bool):
         raise StructureError(
