@@ -52,9 +52,15 @@ reveal_type(phc.step_response([plant, plant]))  # -> TimeResponseList
 reveal_type(phc.margin(plant))  # -> tuple[float, float, float, float]
 reveal_type(phc.stability_margins(plant, returnall=True)[0])  # -> ndarray
 reveal_type(phc.passivity(plant).is_passive)  # -> bool
+reveal_type(phc.compare(data, plant, result.system, dt=0.1))  # -> Comparison
+reveal_type(phc.bode_plot(plant, confidence=result, ax=None))  # -> ControlPlot
+reveal_type(phc.sample(plant, 0.1, name="sampled"))  # -> StateSpace
 
 phc.pem(data, structure="clasical")  # error: arg-type
 phc.reduce(plant, 1, method="balance")  # error: arg-type
+phc.frenkel_kontorova(2, nmae="chain")  # error: call-arg
+phc.couple(plant, plant, inputs=1.5)  # error: arg-type
+phc.pem(data, ports="velocity", model=plant)  # error: arg-type
 result.frequencies  # error: attr-defined
 """
 

@@ -7,28 +7,29 @@ values 1 and -1 once each between two poles, where the phase is +90 and -90 degr
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
-from typing import Any, Literal, get_args, overload
+from typing import Any, Literal, TypeAlias, get_args, overload
 
 import control as ct
 import numpy as np
 
 from .. import _checks
-from .._types import Array
+from .._types import Array, ArrayLike
 from ..exceptions import PHControlError, StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics.rational import transfer_function
 from ..systems.affine import AffineHamiltonian
-from ..systems.base import in_normal_form
+from ..systems.base import Convertible, in_normal_form
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 
+Loop: TypeAlias = Convertible | ct.FrequencyResponseData | Sequence[ArrayLike]
 Method = Literal["best", "poly", "frd"]
 Margins = tuple[float, float, float, float, float, float]
 AllMargins = tuple[Array, Array, Array, Array, Array, Array]
 
 
-def margin(*args: Any) -> tuple[float, float, float, float]:
+def margin(*args: Loop | ArrayLike) -> tuple[float, float, float, float]:
     """Gain and phase margin of a loop, and where they are.
 
     Parameters
@@ -70,14 +71,14 @@ def margin(*args: Any) -> tuple[float, float, float, float]:
 
 @overload
 def stability_margins(
-    sysdata: Any, returnall: Literal[False] = ..., epsw: float = ..., method: Method = ...
+    sysdata: Loop, returnall: Literal[False] = ..., epsw: float = ..., method: Method = ...
 ) -> Margins: ...
 @overload
 def stability_margins(
-    sysdata: Any, returnall: Literal[True], epsw: float = ..., method: Method = ...
+    sysdata: Loop, returnall: Literal[True], epsw: float = ..., method: Method = ...
 ) -> AllMargins: ...
 def stability_margins(
-    sysdata: Any, returnall: bool = False, epsw: float = 0.0, method: Method = "best"
+    sysdata: Loop, returnall: bool = False, epsw: float = 0.0, method: Method = "best"
 ) -> Margins | AllMargins:
     """Margins of a loop under unity negative feedback, infinite where no change of gain or phase is too much.
 
@@ -161,7 +162,7 @@ def _lossless(loop: Any) -> ModalForm | None:
     return system.modes.minimal()
 
 
-def _quietly(ask: Callable[..., Any], *loop: Any, **options: Any) -> Any:
+def _quietly(ask: Callable[..., Any], *loop: Any, **options: object) -> Any:
     """Answer of python-control, which prints what it raises, and looks for the roots of infinity without end."""
     try:
         for part in loop:

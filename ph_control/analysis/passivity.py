@@ -17,7 +17,7 @@ from .._units import common_unit, rate
 from ..exceptions import StructureError
 from ..modal.positive_real import Matrices, Passivity, split_axis, violations, well_conditioned
 from ..numerics.rational import split_infinity, state_space
-from ..systems.base import in_normal_form
+from ..systems.base import Convertible, in_normal_form
 from ..systems.port_hamiltonian import PortHamiltonian
 
 Array = NDArray[np.float64]
@@ -146,7 +146,7 @@ class PassivityReport(Frozen, Report):
         )
 
 
-def passivity(sys: Any, kind: PortKind = "immittance") -> PassivityReport:
+def passivity(sys: Convertible, kind: PortKind = "immittance") -> PassivityReport:
     """Find all frequencies at which a system gives energy.
 
     Parameters
@@ -226,7 +226,7 @@ def _judged(matrices: Matrices, L: Array, kind: str, certain: bool) -> Passivity
     )  # fmt: skip
 
 
-def _state_space(sys: Any) -> ct.StateSpace:
+def _state_space(sys: Convertible) -> ct.StateSpace:
     if isinstance(sys, ct.TransferFunction):
         sys = state_space(sys)
     if isinstance(sys, ct.FrequencyResponseData):

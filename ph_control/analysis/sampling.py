@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
 
 import control as ct
 import numpy as np
@@ -15,7 +14,7 @@ from .._types import SystemNames, Unpack
 from .._units import common_unit, with_unit
 from ..exceptions import ResolutionWarning
 from ..modal.discretization import Hold, check_method
-from ..systems.base import LosslessSystem, inherited_names
+from ..systems.base import Convertible, LosslessSystem, inherited_names
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian, warn_of_lost_digits
 from ..systems.dissipative import DissipativePortHamiltonian
 from .other_systems import as_system, sampled
@@ -26,13 +25,9 @@ Array = NDArray[np.float64]
 
 
 def sample(
-    sys: Any,
-    h: float,
-    method: Discretisation = "exact",
-    *,
-    intersample: Interpolation = "zoh",
+    sys: Convertible, h: float, method: Discretisation = "exact", *, intersample: Interpolation = "zoh",
     **names: Unpack[SystemNames],
-) -> ct.StateSpace:
+) -> ct.StateSpace:  # fmt: skip
     """Sample a system: one step of an integrator as a discrete-time state space.
 
     Parameters
@@ -106,7 +101,7 @@ def sample(
     return with_unit(made, unit)
 
 
-def _companion(sys: Any, rule: Hold) -> tuple[Array, Array, Array]:
+def _companion(sys: LosslessSystem, rule: Hold) -> tuple[Array, Array, Array]:
     """`F`, `G` and `D` of a canonical form, each entry right to the last place."""
     step = companion_step(sys, rule)
     warn_of_lost_digits(sys.n, step.digits(), "sampled matrix", stacklevel=4)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import keyword
 import re
-from typing import Any
+from collections.abc import Sequence
 
 import control as ct
 import numpy as np
@@ -13,6 +13,7 @@ from .. import _checks
 from .._display import counted
 from .._types import Array
 from ..exceptions import StructureError
+from ..systems.base import Convertible
 
 # what C keeps to itself, besides what Python does; `name` stands in names of functions and macros
 _C_WORDS = frozenset(
@@ -188,7 +189,7 @@ def to_python(sys: ct.StateSpace, name: str = "plant") -> str:
     return "\n".join([*head, *matrices, *foot])
 
 
-def _checked(sys: Any) -> ct.StateSpace:
+def _checked(sys: Convertible) -> ct.StateSpace:
     """Refuse all but a state space of discrete time with numbers in it."""
     if not isinstance(sys, ct.StateSpace) or sys.isctime(strict=False) or isinstance(sys.dt, bool) or not sys.dt:
         raise StructureError(
@@ -217,7 +218,7 @@ def _python_rows(matrix: Array) -> str:
     return "[\n" + "".join(f"    [{row}],\n" for row in rows) + "]" if rows else "[]"
 
 
-def _names(labels: Any) -> str:
+def _names(labels: Sequence[str]) -> str:
     return " " + _in_comment(", ".join(map(str, labels)))
 
 

@@ -92,12 +92,9 @@ class SpectralEstimate(ct.FrequencyResponseData):
 
 
 def spectral_estimate(
-    data: ct.TimeResponseData,
-    *,
-    segments: int = 8,
-    intersample: ResponseInterpolation = "zoh",
+    data: ct.TimeResponseData, *, segments: int = 8, intersample: ResponseInterpolation = "zoh",
     **names: Unpack[SystemNames],
-) -> SpectralEstimate:
+) -> SpectralEstimate:  # fmt: skip
     """Estimate a frequency response from a record of one input and one output.
 
     Parameters

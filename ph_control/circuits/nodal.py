@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, overload
+from typing import IO, Any, overload
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve, cholesky, solve_triangular
@@ -37,14 +37,14 @@ _ROUNDING = 8  # times size and EPS, of what was added up: what elimination leav
 
 @overload
 def read_netlist(
-    source: str | os.PathLike[str] | Any, *, parameters: None = None, **names: Unpack[SystemNames]
+    source: str | os.PathLike[str] | IO[Any], *, parameters: None = None, **names: Unpack[SystemNames]
 ) -> DissipativePortHamiltonian: ...
 @overload
 def read_netlist(
-    source: str | os.PathLike[str] | Any, *, parameters: Sequence[str], **names: Unpack[SystemNames]
+    source: str | os.PathLike[str] | IO[Any], *, parameters: Sequence[str], **names: Unpack[SystemNames]
 ) -> NetlistFunction: ...
 def read_netlist(
-    source: str | os.PathLike[str] | Any, *, parameters: Sequence[str] | None = None, **names: Unpack[SystemNames]
+    source: str | os.PathLike[str] | IO[Any], *, parameters: Sequence[str] | None = None, **names: Unpack[SystemNames]
 ) -> DissipativePortHamiltonian | NetlistFunction:
     """Port-Hamiltonian system of a SPICE netlist of resistors, inductors, capacitors and sources.
 

@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import IO, Any
 
 from ..exceptions import FileFormatError
 from ..io.files import read_bytes, source_name
@@ -57,7 +57,7 @@ class Block:
         return None
 
 
-def content_of(source: str | os.PathLike[str] | Any) -> tuple[str, str]:
+def content_of(source: str | os.PathLike[str] | IO[Any]) -> tuple[str, str]:
     """Text of a netlist and what to call it: the text itself if it has several lines, else what the file holds."""
     if isinstance(source, str) and "\n" in source:
         return source, "the netlist"

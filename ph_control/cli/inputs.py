@@ -128,11 +128,11 @@ class Model:
         """Whether it is the result of a fit, data and uncertainty included."""
         return isinstance(self.content, phc.PEMResult)
 
-    def lossless(self) -> Any:
+    def lossless(self) -> phc.PortHamiltonian:
         """As `port_hamiltonian`; `NoError` if what other programs wrote has losses."""
         return self._of_this_package(lossless=True)
 
-    def port_hamiltonian(self) -> Any:
+    def port_hamiltonian(self) -> phc.PortHamiltonian:
         """Object of this package that has the same transfer function, with losses or without; `NoError` if none has."""
         return self._of_this_package(lossless=False)
 

@@ -167,7 +167,7 @@ def emit(content: str | bytes) -> None:
         ) from None
 
 
-def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+def _show_warning(message: Warning | str, category: type[Warning], *where: object, **more: object) -> None:
     # what the data do not show stands in the summary of the fit; what others warn of, such as pyparsing of how
     # matplotlib calls it, is not for whoever runs a command
     own = category.__module__ == IdentifiabilityWarning.__module__

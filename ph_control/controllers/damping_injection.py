@@ -19,12 +19,9 @@ _ROUNDING = 64  # times `m EPS`: negative eigenvalues of a gain that are taken f
 
 
 def damping_injection(
-    sys: PortHamiltonian,
-    gain: ArrayLike | PortHamiltonian,
-    *,
-    ports: Sequence[int | str] | None = None,
+    sys: PortHamiltonian, gain: ArrayLike | PortHamiltonian, *, ports: Sequence[int | str] | None = None,
     **names: Unpack[SystemNames],
-) -> PortHamiltonian:
+) -> PortHamiltonian:  # fmt: skip
     """Close a loop around ports by a gain or a system that only takes energy, `u = -K y + w`.
 
     Parameters

@@ -27,12 +27,9 @@ _ROUNDING = 64  # times `n EPS`: negative eigenvalues that are taken for roundin
 
 
 def observer(
-    sys: PortHamiltonian,
-    gain: ArrayLike | None = None,
-    *,
-    ports: Sequence[int | str] | None = None,
+    sys: PortHamiltonian, gain: ArrayLike | None = None, *, ports: Sequence[int | str] | None = None,
     **names: Unpack[SystemNames],
-) -> PortHamiltonian:
+) -> PortHamiltonian:  # fmt: skip
     """Observer of the states from inputs and outputs of ports, with the energy of the error as Lyapunov function.
 
     Parameters
@@ -131,13 +128,9 @@ def _named(sys: PortHamiltonian, ports: list[int], names: SystemNames) -> System
 
 
 def lqg(
-    sys: PortHamiltonian,
-    effort: ArrayLike = 1.0,
-    *,
-    weight: ArrayLike | None = None,
-    ports: Sequence[int | str] | None = None,
-    **names: Unpack[SystemNames],
-) -> PortHamiltonian:
+    sys: PortHamiltonian, effort: ArrayLike = 1.0, *, weight: ArrayLike | None = None,
+    ports: Sequence[int | str] | None = None, **names: Unpack[SystemNames],
+) -> PortHamiltonian:  # fmt: skip
     r"""Output feedback that is optimal for a quadratic cost, and passive.
 
     Parameters

@@ -9,6 +9,7 @@ from typing import Any
 import control as ct
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 from scipy.linalg import matrix_balance
 
@@ -19,6 +20,7 @@ from .._units import parted, unit_for
 from ..analysis.margins import margin
 from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
+from ..numerics.rational import LinearSystem
 from ..numerics.rational import poles as poles_of
 from ..systems.base import in_normal_form
 from .inputs import (
@@ -213,7 +215,7 @@ def bode_plot(
 
 
 def _draw_margins(
-    panels: dict[str, Axes], numbers: DrawnResponses, systems: list[Any], lines: list[Any], scale: Scale
+    panels: dict[str, Axes], numbers: DrawnResponses, systems: list[LinearSystem], lines: list[Line2D], scale: Scale
 ) -> None:
     """Distances from -180 degrees where the gain is 1, and from a gain of 1 where the phase is -180 degrees."""
     size, unit, unit_name = scale.angle, numbers.axis.unit, numbers.axis.unit_name
@@ -290,7 +292,7 @@ def bode_data(
 
 
 def _measurement(
-    data: object, sys: Any, segments: int, intersample: ResponseInterpolation, label: str | None
+    data: object, sys: LinearSystem, segments: int, intersample: ResponseInterpolation, label: str | None
 ) -> Curve | None:
     """The dots: a frequency response as it is, or the spectral estimate of a record."""
     if data is None:
@@ -338,7 +340,7 @@ def _curve(subject: Subject, grid: Array | None, low: float, high: float, count:
     return Curve(subject.label, grid, response, singular, nyquist)
 
 
-def _balanced(sys: Any) -> Any:
+def _balanced(sys: LinearSystem) -> LinearSystem:
     """A plain state space in states of like sizes: python-control loses the digits of a response where they differ."""
     if type(sys) is not ct.StateSpace or not sys.nstates:
         return sys
@@ -346,7 +348,7 @@ def _balanced(sys: Any) -> Any:
     return ct.ss(sys.A * size / size[:, None], sys.B / size[:, None], sys.C * size, sys.D, sys.dt)
 
 
-def _nyquist(sys: Any) -> float | None:
+def _nyquist(sys: LinearSystem) -> float | None:
     return float(np.pi) / timebase(sys) if sys.isdtime(strict=True) else None
 
 
@@ -365,7 +367,7 @@ def _known_band(measured: Curve | None, subjects: list[Subject]) -> tuple[float,
 
 
 def _frequencies(
-    extents: Array, known: tuple[float, float] | None, omega: object, omega_limits: Any, unit: float
+    extents: Array, known: tuple[float, float] | None, omega: object, omega_limits: object, unit: float
 ) -> tuple[Array | None, float, float]:
     """Frequencies asked for, if any, and the ends of the axis, all in rad per unit time."""
     given = None if omega is None else _ascending("omega", omega)
@@ -403,7 +405,7 @@ def _default_limits(extents: Array, known: tuple[float, float] | None, unit: flo
     return 10.0 ** np.array([low, high]) * unit
 
 
-def _extent(sys: Any, known: tuple[float, float] | None) -> Array:
+def _extent(sys: LinearSystem, known: tuple[float, float] | None) -> Array:
     """Ends of what the picture must show: twice as far as the poles and zeros are, or as far as tabulated data are.
 
     Poles and zeros within a measurement ask for no more than it covers.
@@ -420,7 +422,7 @@ def _extent(sys: Any, known: tuple[float, float] | None) -> Array:
     return np.asarray(ends * wider, float)
 
 
-def features(sys: Any) -> tuple[Array, Array]:
+def features(sys: LinearSystem) -> tuple[Array, Array]:
     """Frequencies of the poles and zeros of a system, ascending, positive, and those of them on the imaginary axis.
 
     The second kind is where the response is infinite or zero; it includes every pole and zero of a lossless one-port.

@@ -141,7 +141,9 @@ def _frequency_range(axis: Axes, sizes: Array) -> None:
         axis.set_xlim(0, 1.05 * high or None)
 
 
-def _loci(sys: PortHamiltonian, gain: ArrayLike, ports: Any, scale: Array) -> tuple[Any, Any, Any]:
+def _loci(
+    sys: PortHamiltonian, gain: ArrayLike, ports: Sequence[int | str] | None, scale: Array
+) -> tuple[Array, Array, ComplexArray]:
     """Poles at the least factor, at 1, and at all, (N, poles), each column one pole that moves."""
     every = np.union1d(scale, [1.0])
     rows = [damping_injection(sys, factor * gain, ports=ports).poles() for factor in every]

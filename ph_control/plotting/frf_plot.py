@@ -10,6 +10,7 @@ import control as ct
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
 from .. import _checks
@@ -606,12 +607,12 @@ def _table_alone(
     return DrawnResponses([], [measured], responses.axis, *chosen, title), units
 
 
-def _draw_curve(axis: Axes, numbers: DrawnResponses, i: int, j: int, look: Look, scale: Scale) -> list[Any]:
+def _draw_curve(axis: Axes, numbers: DrawnResponses, i: int, j: int, look: Look, scale: Scale) -> list[Line2D]:
     """Curve of an entry, dots, and rings at powers of ten of the frequency; lines of the first two."""
     (real, imaginary), (real_dots, imaginary_dots) = zip(
         *(numbers.values(part, i, j, scale) for part in ("real", "imaginary")), strict=True
     )
-    lines: list[Any] = []
+    lines: list[Line2D] = []
     axis.axhline(0.0, **ZERO)
     axis.axvline(0.0, **ZERO)
     for k, (curve, x, y) in enumerate(zip(numbers.curves, real, imaginary, strict=True)):
@@ -637,7 +638,7 @@ def _fit_height(figure: Figure, axis: Axes) -> None:
     figure.set_size_inches(width, float(np.clip(1.5 + (width - 1.0) * 1.2 * share, *_HEIGHTS)))
 
 
-def _mark_decades(axis: Axes, frequency: FrequencyAxis, omega: Array, x: Array, y: Array, colour: str) -> None:
+def _mark_decades(axis: Axes, frequency: FrequencyAxis, omega: Array, x: Array, y: Array, colour: Any) -> None:
     low, high = max(frequency.low, omega[0]) / frequency.unit, min(frequency.high, omega[-1]) / frequency.unit
     if not low > 0:
         return

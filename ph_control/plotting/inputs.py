@@ -16,6 +16,7 @@ from .._types import Array, ComplexArray
 from ..exceptions import StructureError
 from ..modal.general_form import GeneralModalForm
 from ..modal.modal_form import ModalForm
+from ..numerics.rational import LinearSystem
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import ph
 
@@ -154,7 +155,7 @@ def fit_name(poles: ComplexArray) -> str:
     return f"fit ({', '.join(counted_poles(modes, len(poles) - modes))})"
 
 
-def _kind(sys: Any) -> str:
+def _kind(sys: object) -> str:
     return "response" if isinstance(sys, ct.FrequencyResponseData) else "model"
 
 
@@ -169,7 +170,7 @@ def given_name(sys: Any) -> str | None:
     return None if _UNNAMED.fullmatch(name) else name
 
 
-def timebase(sys: Any) -> float:
+def timebase(sys: LinearSystem) -> float:
     """Sampling time of a discrete-time system; 1 where it is unspecified, as python-control takes it."""
     return 1.0 if sys.dt is True else float(sys.dt)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import control as ct
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from .. import _checks
 from .._display import counted
@@ -25,7 +26,7 @@ from .style import AxesGiven, LineStyle, Look, MarkStyle, Picture, frequency_axi
 WeightKind = Literal["kappa", "r"]
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
+    pass
 
 _WIDE = 1e3  # ratio of weights beyond which they are drawn to a logarithmic scale
 _DECADES = 100.0  # ratio of frequencies beyond which they are
@@ -211,7 +212,7 @@ def _damped_table(label: str, modes: Any, quantity: str) -> ModeTable:
     return ModeTable(label, d, size, at_zero, unknown, unknown, None, zeta)
 
 
-def _draw_modes(axis: Axes, tables: list[ModeTable], port: int, unit: float, look: Look) -> list[Artist]:
+def _draw_modes(axis: Axes, tables: list[ModeTable], port: int, unit: float, look: Look) -> list[Line2D]:
     size = np.concatenate([table.size[:, port] for table in tables])
     shown = size[size > 0]
     logarithmic = bool(len(shown)) and float(shown.max()) > _WIDE * float(shown.min())
@@ -275,7 +276,7 @@ def _draw_stems(axis: Axes, k: int, table: ModeTable, port: int, unit: float, bo
     return heads
 
 
-def _draw_damping(axis: Axes, tables: list[ModeTable], unit: float, look: Look) -> list[Any]:
+def _draw_damping(axis: Axes, tables: list[ModeTable], unit: float, look: Look) -> list[Line2D]:
     """Damping ratios of all systems over frequency; those of lossless ones are 0."""
     from_zero = any((table.at_zero > 0).any() for table in tables)
     _frequency_scale(axis, np.concatenate([table.d for table in tables]) / unit, from_zero)
@@ -484,7 +485,7 @@ def _draw_row(
     unit: float,
     line: dict[str, Any],
     named: bool,
-) -> list[Any]:
+) -> list[Line2D]:
     axis.axhline(height, **_AXIS)
     low, high = ends
     poles, zeros = (w[(w >= low) & (w < high)] / unit for w in chart.upper)
@@ -526,8 +527,8 @@ def _strip_axis(axis: Axes, maps: list[PoleZeroMap], low: float, high: float, li
     axis.spines[["left", "right", "top"]].set_visible(False)
 
 
-def _draw_plane(axis: Axes, maps: list[PoleZeroMap], unit: float, unit_name: str, look: Look) -> list[Artist]:
-    lines: list[Artist] = []
+def _draw_plane(axis: Axes, maps: list[PoleZeroMap], unit: float, unit_name: str, look: Look) -> list[Line2D]:
+    lines: list[Line2D] = []
     discrete = maps[0].discrete
     scale = 1.0 if discrete else unit
     axis.axhline(0.0, **_AXIS)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from .. import _checks
@@ -29,7 +30,7 @@ from .style import (
 )
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
+    pass
 
 _SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
 _DOT = 1 / 1200  # of the width of a picture
@@ -437,7 +438,7 @@ def draw_responses(
 
 def draw_part(
     axis: Axes, responses: DrawnResponses, part: str, i: int, j: int, look: Look, scale: Scale
-) -> list[Artist]:
+) -> list[Line2D]:
     """One part of an entry on its axes, which get their range; lines of curves, then of measurements."""
     values, dots = responses.values(part, i, j, scale)
     if part in CARTESIAN:
@@ -456,9 +457,9 @@ def draw_part(
 
 def _draw_curves(
     axis: Axes, responses: DrawnResponses, part: str, values: list[Array], i: int, j: int, look: Look
-) -> list[Any]:
+) -> list[Line2D]:
     """Curves, and medians where they close to a block."""
-    lines: list[Any] = []
+    lines: list[Line2D] = []
     unit = responses.axis.unit
     for k, (curve, value) in enumerate(zip(responses.curves, values, strict=True)):
         label = plain(f"{curve.label}: zero" if curve.vanishes else curve.label)
@@ -489,7 +490,7 @@ def _draw_curves(
 
 
 def _draw_bands(
-    axis: Axes, responses: DrawnResponses, lines: list[Any], part: str, i: int, j: int, scale: Scale
+    axis: Axes, responses: DrawnResponses, lines: list[Line2D], part: str, i: int, j: int, scale: Scale
 ) -> None:
     """Confidence bands of magnitude or phase, in the colours of their curves."""
     for curve, line in zip(responses.curves, lines, strict=True):
@@ -504,7 +505,7 @@ def _draw_bands(
             )
 
 
-def _draw_dots(axis: Axes, responses: DrawnResponses, dots: list[Array], i: int) -> list[Any]:
+def _draw_dots(axis: Axes, responses: DrawnResponses, dots: list[Array], i: int) -> list[Line2D]:
     lines, named = [], set()
     for curve, value in zip(responses.measured, dots, strict=True):
         inside = (curve.omega >= responses.axis.low) & (curve.omega <= responses.axis.high) & np.isfinite(value)

@@ -358,7 +358,7 @@ class ShapeTable:
 
 
 def shape_table(
-    given: object, *, poles: Any = None, level: float = 0.95, time_unit: str | None = None
+    given: object, *, poles: ArrayLike | None = None, level: float = 0.95, time_unit: str | None = None
 ) -> ShapeTable:  # fmt: skip
     """Numbers of `shape_plot` and `mac_plot`: those of a result or a modal form, or an array and its poles."""
     _checks.level("level", level)
@@ -460,7 +460,7 @@ class WireFrame:
         return np.asarray(self.nodes + moved * (_DISPLACED * size / largest if largest else 0.0))
 
 
-def wire_frame(places: Array, directions: Any, nodes: Any, lines: Any) -> WireFrame:
+def wire_frame(places: Array, directions: Any, nodes: Any, lines: ArrayLike | None) -> WireFrame:
     """Wire frame of sensors at `places` (p, 2) or (p, 3)."""
     if places.shape[1] == 1:
         raise StructureError(
@@ -539,7 +539,9 @@ class ModeCircle:
     input_label: str
 
 
-def mode_circle(source: ModelSource, measured: list[Curve], mode: int, output: Any, input: Any) -> ModeCircle:
+def mode_circle(
+    source: ModelSource, measured: list[Curve], mode: int, output: int | str | None, input: int | str | None
+) -> ModeCircle:
     """Numbers of one panel of `circle_plot`."""
     p = source.poles[mode]
     d, width = float(abs(p)), float(abs(p.real))
@@ -561,7 +563,9 @@ def mode_circle(source: ModelSource, measured: list[Curve], mode: int, output: A
     )  # fmt: skip
 
 
-def _entry(every: ComplexArray, output: Any, input: Any, source: ModelSource) -> tuple[int, int]:
+def _entry(
+    every: ComplexArray, output: int | str | None, input: int | str | None, source: ModelSource
+) -> tuple[int, int]:
     """Output and input of the widest curve near a resonance, beside what is asked for."""
     rows = chosen_channels("output", output, source.output_labels)
     columns = chosen_channels("input", input, source.input_labels)
@@ -584,7 +588,7 @@ def _modes_to_draw(given: object, source: ModelSource) -> Indices:
 # --- drawing ---------------------------------------------------------------------------------------------------------
 
 
-def _draw_along_line(axis: Axes, places: Array, table: ShapeTable, l: int, look: Look) -> list[Any]:
+def _draw_along_line(axis: Axes, places: Array, table: ShapeTable, l: int, look: Look) -> Sequence[Artist]:
     """Real part over positions, with intervals, and the imaginary part where there is one to speak of."""
     order = np.argsort(places, kind="stable")
     x, c, reach = places[order], table.shapes[l][order], table.reach[l][order]
@@ -617,7 +621,7 @@ def _name_sensors(axis: Axes, labels: list[str] | None) -> None:
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-def _draw_in_plane(axis: Axes, places: Array, shape: Array, look: Look) -> list[Any]:
+def _draw_in_plane(axis: Axes, places: Array, shape: Array, look: Look) -> Sequence[Artist]:
     """A mark at each sensor, its area that of the entry squared; positions in space are seen from above."""
     x, y = places.T if places.shape[1] == 2 else _seen(places)
     axis.plot(x, y, linestyle="none", marker=".", markersize=3.0, color="0.5", zorder=2, label="_")
@@ -640,10 +644,10 @@ def _draw_in_plane(axis: Axes, places: Array, shape: Array, look: Look) -> list[
     return marks
 
 
-def _draw_frame(axis: Axes, frame: WireFrame, shape: Array, look: Look) -> list[Artist]:
+def _draw_frame(axis: Axes, frame: WireFrame, shape: Array, look: Look) -> Sequence[Artist]:
     """The structure at rest and displaced, with a mark at each sensor; lines of both."""
     flat = frame.nodes.shape[1] == 2
-    drawn: list[Any] = []
+    drawn: list[Artist] = []
     curve = {**MODEL_LINE, "linewidth": 1.4, **look.line}
     rest: dict[str, Any] = {"color": "0.7", "linewidth": 0.9, "zorder": 2}
     for nodes, name, style in ((frame.nodes, "at rest", rest), (frame.displaced(shape), "mode shape", curve)):
@@ -679,7 +683,7 @@ def _draw_directions(axis: Axes) -> None:
         )  # fmt: skip
 
 
-def _draw_circle(axis: Axes, circle: ModeCircle, look: Look) -> list[Any]:
+def _draw_circle(axis: Axes, circle: ModeCircle, look: Look) -> Sequence[Artist]:
     response = circle.response
     lines = axis.plot(response.real, response.imag, label=plain(circle.label), **{**MODEL_LINE, **look.line})
     if len(circle.measured):

@@ -25,7 +25,7 @@ from .._units import SECONDS, hertz_size, parted, rate
 from ..exceptions import StructureError
 
 # axes to draw on: one, or those of each panel; None for a new figure
-AxesGiven = Axes | Sequence[Any] | NDArray[Any] | None
+AxesGiven = Axes | Sequence[Axes] | NDArray[np.object_] | None
 
 STYLES = ("-", "--", "-.", ":")
 BAND: dict[str, Any] = {"alpha": 0.22, "linewidth": 0.0, "zorder": 1.5}
@@ -151,9 +151,9 @@ class Picture:
 
     look: Look
     figure: Figure
-    axes: NDArray[Any]
+    axes: NDArray[np.object_]
     new: bool
-    lines: NDArray[Any] = field(init=False)
+    lines: NDArray[np.object_] = field(init=False)
 
     def __post_init__(self) -> None:
         self.lines = np.empty(self.axes.shape, dtype=object)
@@ -180,7 +180,7 @@ class Picture:
         place: dict[str, Any] = {"loc": "outside lower center", "ncols": len(handles), "frameon": False}
         return self.figure.legend(list(handles.values()), list(handles), **place)
 
-    def legends(self) -> NDArray[Any]:
+    def legends(self) -> NDArray[np.object_]:
         """Legends of all axes."""
         return np.array([[self.look.legend(axis) for axis in row] for row in self.axes], dtype=object)
 
@@ -219,7 +219,7 @@ def panels(look: Look, ax: AxesGiven, count: int, size: tuple[float, float], **o
     return drawn
 
 
-def _given_axes(ax: AxesGiven, shape: tuple[int, int], meaning: str) -> tuple[Figure, NDArray[Any]]:
+def _given_axes(ax: AxesGiven, shape: tuple[int, int], meaning: str) -> tuple[Figure, NDArray[np.object_]]:
     axes = np.array(ax, dtype=object)
     if axes.size != np.prod(shape):
         raise StructureError(
@@ -254,7 +254,7 @@ def told_gain_units(outputs: Sequence[str], inputs: Sequence[str]) -> list[str] 
     return [f"{unit}/({below[0]})" if set("/ ") & set(below[0]) else f"{unit}/{below[0]}" for unit in above]
 
 
-def told_gain_unit(*sources: Any) -> str | None:
+def told_gain_unit(*sources: object) -> str | None:
     """Unit of all responses of the first of these whose names of channels tell one."""
     for source in sources:
         names = [getattr(source, name, None) or [] for name in ("output_labels", "input_labels")]

@@ -22,8 +22,8 @@ from .._units import unit_for
 from ..analysis.time_grid import listed
 from ..exceptions import PHControlError, StructureError
 from ..modal.modal_form import ModalForm
+from ..numerics.rational import LinearSystem, state_space
 from ..numerics.rational import poles as poles_of
-from ..numerics.rational import state_space
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import ph
 from .inputs import Subject, lateness_of, models_around, subjects_of, timebase, title_of
@@ -288,7 +288,7 @@ def transient_data(
     return TransientData(traces, measured, end, first.input_labels, outputs, title)
 
 
-def _measured(data: object, sys: Any, kind: str, label: str | None) -> Trace:
+def _measured(data: object, sys: LinearSystem, kind: str, label: str | None) -> Trace:
     if not isinstance(data, ct.TimeResponseData):
         raise StructureError(f"data is a {type(data).__name__}; pass the measured response as control.TimeResponseData")
     # one trace for each input, as control.step_response has it

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import control as ct
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
@@ -232,7 +233,7 @@ class ResponsePanel:
     Hz: bool = False
     gain_unit: str | None = None
 
-    def draw(self, axis: Axes, look: Look) -> list[Artist]:
+    def draw(self, axis: Axes, look: Look) -> list[Line2D]:
         """Both in decibels over frequency."""
         unit, unit_name = frequency_axis(self.Hz, self.time_unit)
         parts = self.measured[None], self.residuals[None, None]
@@ -303,7 +304,7 @@ def order_selection_plot(
         return drawn.finished("Choice of the order", drawn.legends())
 
 
-def _draw_orders(axis: Axes, orders: Indices, frequencies: Sequence[Array], stable: Sequence[Mask]) -> list[Any]:
+def _draw_orders(axis: Axes, orders: Indices, frequencies: Sequence[Array], stable: Sequence[Mask]) -> list[Line2D]:
     d = np.concatenate([np.zeros(0), *frequencies])
     order = np.repeat(orders, [len(row) for row in frequencies])
     kept = np.concatenate([np.zeros(0, bool), *stable])

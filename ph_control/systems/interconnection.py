@@ -111,13 +111,9 @@ def interconnect(systems: Sequence[PortHamiltonian], F: ArrayLike, **names: Unpa
 
 
 def gyrator(
-    first: PortHamiltonian,
-    second: PortHamiltonian,
-    ratio: ArrayLike = 1.0,
-    *,
-    ports: Ports = (0, 0),
+    first: PortHamiltonian, second: PortHamiltonian, ratio: ArrayLike = 1.0, *, ports: Ports = (0, 0),
     **names: Unpack[SystemNames],
-) -> PortHamiltonian:
+) -> PortHamiltonian:  # fmt: skip
     """Connect ports of two systems by a gyrator: each takes its input from the output of the other.
 
     Parameters
@@ -274,13 +270,9 @@ def couple(
 
 
 def transformer(
-    first: PortHamiltonian,
-    second: PortHamiltonian,
-    ratio: ArrayLike = 1.0,
-    *,
-    ports: Ports = (0, 0),
+    first: PortHamiltonian, second: PortHamiltonian, ratio: ArrayLike = 1.0, *, ports: Ports = (0, 0),
     **names: Unpack[SystemNames],
-) -> PortHamiltonian:
+) -> PortHamiltonian:  # fmt: skip
     """Join ports of two systems by a transformer, lever or gear: `y_2 = n y_1`, the force between them eliminated.
 
     Parameters

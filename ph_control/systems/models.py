@@ -78,15 +78,9 @@ def lc_circuit(C: ArrayLike, L: ArrayLike, *, R: ArrayLike = 0.0, **names: Unpac
 
 
 def spring_chain(
-    masses: ArrayLike,
-    stiffnesses: ArrayLike = 1.0,
-    *,
-    ground: ArrayLike = 0.0,
-    c: ArrayLike = 0.0,
-    ground_c: ArrayLike = 0.0,
-    port: int | Sequence[int] = 0,
-    **names: Unpack[SystemNames],
-) -> PortHamiltonian:
+    masses: ArrayLike, stiffnesses: ArrayLike = 1.0, *, ground: ArrayLike = 0.0, c: ArrayLike = 0.0,
+    ground_c: ArrayLike = 0.0, port: int | Sequence[int] = 0, **names: Unpack[SystemNames],
+) -> PortHamiltonian:  # fmt: skip
     """Chain of masses, each tied to the next by a spring and a damper, and to the ground by others where wanted.
 
     Parameters
@@ -192,14 +186,9 @@ def frenkel_kontorova(n: int = 2, **names: Unpack[SystemNames]) -> PortHamiltoni
 
 
 def msd_chain(
-    n: int = 50,
-    *,
-    m: ArrayLike = 4.0,
-    k: ArrayLike = 4.0,
-    c: ArrayLike = 1.0,
-    ports: int = 2,
+    n: int = 50, *, m: ArrayLike = 4.0, k: ArrayLike = 4.0, c: ArrayLike = 1.0, ports: int = 2,
     **names: Unpack[SystemNames],
-) -> PortHamiltonian:
+) -> PortHamiltonian:  # fmt: skip
     """Chain of masses with dampers to the ground, the last mass on a spring to a wall: a benchmark of model reduction.
 
     Parameters

@@ -79,7 +79,7 @@ def _foreign(model: Model) -> str:
     return f"{model.source}: {kind}, {counted(system.ninputs, 'input')}, {counted(system.noutputs, 'output')}"
 
 
-def _modes(system: Any) -> tuple[phc.ModalForm, str | None]:
+def _modes(system: phc.PortHamiltonian) -> tuple[phc.ModalForm, str | None]:
     """Modal form, and the unit of time."""
     return system if isinstance(system, phc.ModalForm) else system.modes, getattr(system, "time_unit", None)
 
@@ -100,7 +100,7 @@ def _fields_of(system: Any) -> dict[str, Any]:
     return {**fields, "time_unit": unit, "hertz": form.d / hertz_size(unit) if unit else None, **modes_of(form)}
 
 
-def _lines(system: Any) -> list[str]:
+def _lines(system: phc.PortHamiltonian) -> list[str]:
     form, unit = _modes(system)
     kind, ports = type(system).__name__, counted(form.nports, "port")
     if system is form:
@@ -132,7 +132,7 @@ def _in_d_and_r(form: phc.ModalForm) -> bool:
     return not isinstance(form, GeneralModalForm)
 
 
-def _damped_lines(system: Any, form: phc.ModalForm, unit: str | None) -> list[str]:
+def _damped_lines(system: phc.PortHamiltonian, form: phc.ModalForm, unit: str | None) -> list[str]:
     """Losses and sensors of a system, and a table of natural frequencies and damping ratios."""
     lines = []
     if system is not form:

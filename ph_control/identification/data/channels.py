@@ -219,6 +219,7 @@ class ResponseMatrix(InFrequency):
 
 
 Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
+Kind = Record | FrequencyRecord | Recording | ResponseMatrix
 
 
 def _shape(experiment: Recording | ResponseMatrix) -> str:

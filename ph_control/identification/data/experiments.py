@@ -16,6 +16,7 @@ from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
 from .channels import (
     Channels,
+    Kind,
     Recording,
     ResponseHold,
     ResponseMatrix,
@@ -145,7 +146,7 @@ def as_channels(
     return matched(experiments, _are_named(data))
 
 
-def as_measured(data: Any, dt: OneOrEach = None, *, weights: OneOrEach = None) -> tuple[Any, ...]:
+def as_measured(data: Any, dt: OneOrEach = None, *, weights: OneOrEach = None) -> tuple[Kind, ...]:
     """Experiments as `as_experiments` makes them of one input and one output, and `as_channels` of more in any.
 
     Experiments that differ in the names of their inputs or outputs have several channels together; columns of data

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -29,9 +29,10 @@ from ..._options import (
     Structure,
 )
 from ..._threads import on_one_thread
-from ..._types import ArrayLike, ComplexArray, OneOrEach, PortPairs, RandomSource
+from ..._types import Array, ArrayLike, ComplexArray, OneOrEach, PortPairs, RandomSource
 from ..._workers import check_workers
 from ...exceptions import IdentifiabilityWarning, StructureError
+from ...systems.base import Convertible
 from ..data.channels import Channels, ResponseHold
 from ..data.experiments import as_channels
 from ..data.hammer import contacts_alone
@@ -58,7 +59,7 @@ def pem(
     offset: bool | Literal["auto"] = "auto",
     quantity: SensorQuantity | Sequence[SensorQuantity] | Mapping[str, SensorQuantity] | None = None,
     representation: Representation = "observable",
-    initial_guess: Any = None,
+    initial_guess: PEMResult | Convertible | tuple[ArrayLike, ArrayLike] | None = None,
     weights: OneOrEach = None,
     criterion: Criterion = "bic",
     max_order: int | None = None,
@@ -72,9 +73,9 @@ def pem(
     input_delay: ArrayLike | Literal["auto"] = "auto",
     noise: NoiseKind = "auto",
     window: ArrayLike | None = None,
-    model: Any = None,
-    parameters: Any = None,
-    bounds: Any = None,
+    model: Callable[[Array], Convertible] | None = None,
+    parameters: ArrayLike | Mapping[str, float] | None = None,
+    bounds: Sequence[ArrayLike] | None = None,
 ) -> PEMResult:
     """Fit modes and real poles to recordings or frequency responses, by prediction-error minimisation.
 
@@ -307,7 +308,9 @@ def _plainness(result: PEMResult) -> tuple[bool, int, float]:
     return result.whiteness >= WHITE, -order, result.whiteness
 
 
-def _checked_model(model: Any, parameters: object, bounds: object, structure: str) -> ModelFunction | None:
+def _checked_model(
+    model: Any, parameters: ArrayLike | Mapping[str, float] | None, bounds: Sequence[ArrayLike] | None, structure: str
+) -> ModelFunction | None:
     """A model function with its parameters; None without one."""
     if model is None:
         for name, value in (("parameters", parameters), ("bounds", bounds)):

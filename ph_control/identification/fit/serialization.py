@@ -17,7 +17,7 @@ from ..._units import DERIVATIVES, SECONDS
 from ...exceptions import StructureError
 from ...io.codecs import Codec, system_from_dict
 from ...io.json_format import Fields
-from ..data.channels import Recording, ResponseMatrix
+from ..data.channels import Kind, Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord, LineErrors
 from ..data.time_record import InTime, Record
 from ..diagnosis.verdict import Outcome
@@ -49,7 +49,6 @@ _MAY_BE_NAN = {
 
 # the length of each array, None where the file decides it; of places in a list, how many there are
 Shapes = Mapping[str, tuple[int | None, ...]]
-Kind = Record | FrequencyRecord | Recording | ResponseMatrix
 Fitted = FittedExperiment | FittedChannels
 
 

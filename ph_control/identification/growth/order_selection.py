@@ -171,7 +171,7 @@ def order_selection(
     *,
     dt: OneOrEach = None,
     holdout: float = 0.0,
-    initial_guess: Any = None,
+    initial_guess: object = None,
     weights: OneOrEach = None,
     callback: Callback | None = None,
     workers: object = 1,

@@ -6,7 +6,7 @@ import inspect
 import os
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,12 +61,12 @@ class RecordingFitted:
 
 @on_one_thread
 def fit_many(
-    recordings: Any,
+    recordings: Iterable[object],
     *,
     workers: object = 1,
     store: str | os.PathLike[str] | None = None,
-    callback: Callable[[RecordingFitted], Any] | None = None,
-    reader: Callable[[Path], Any] | None = None,
+    callback: Callable[[RecordingFitted], object] | None = None,
+    reader: Callable[[Path], object] | None = None,
     reference: PEMResult | None = None,
     **pem_options: Any,
 ) -> FitTable:

@@ -38,10 +38,10 @@ class OneRecording:
     """A recording, or the path of one, and what it is called."""
 
     name: str
-    data: Any
+    data: object
 
 
-def sources(recordings: Iterable[Any]) -> Iterator[OneRecording]:
+def sources(recordings: Iterable[object]) -> Iterator[OneRecording]:
     """Recordings one by one; a pattern of file names stands for the files that match, sorted."""
     for place, data in enumerate(recordings):
         if not isinstance(data, str | os.PathLike):
@@ -101,7 +101,7 @@ class FitAndKeep:
     """
 
     options: Mapping[str, Any]
-    reader: Callable[[Any], Any] | None = None
+    reader: Callable[[Path], object] | None = None
     store: Path | None = None
     reference: PEMResult | None = None
 

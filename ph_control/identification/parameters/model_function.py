@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from ... import _checks
-from ..._types import Array, Mask
+from ..._types import Array, ArrayLike, Mask
 from ..._units import common_unit
 from ...exceptions import StructureError
+from ...systems.base import Convertible
 from .physical_modes import PhysicalModes, modes_of_system
 
 CALLS = 20  # of the function for each parameter, at most
@@ -41,7 +41,7 @@ class ModelFunction:
         Unit of time of the data: a system of another one is refused.
     """
 
-    function: Callable[[Array], Any]
+    function: Callable[[Array], Convertible]
     names: tuple[str, ...]
     start: Array
     lower: Array
@@ -55,7 +55,12 @@ class ModelFunction:
     _known: dict[bytes, PhysicalModes] = field(default_factory=dict)
 
     @classmethod
-    def checked(cls, function: Any, parameters: Any, bounds: Any = None) -> ModelFunction:
+    def checked(
+        cls,
+        function: Callable[[Array], Convertible],
+        parameters: ArrayLike | Mapping[str, float] | None,
+        bounds: Sequence[ArrayLike] | None = None,
+    ) -> ModelFunction:
         """Check a function, parameters to start from, and bounds.
 
         Parameters
@@ -185,7 +190,7 @@ class ModelFunction:
         return modes
 
 
-def _checked_bounds(bounds: Any, names: tuple[str, ...], start: Array) -> tuple[Array, Array]:
+def _checked_bounds(bounds: Sequence[ArrayLike] | None, names: tuple[str, ...], start: Array) -> tuple[Array, Array]:
     """Lower and upper bounds of each parameter; infinite without some."""
     if bounds is None:
         return np.full(len(start), -np.inf), np.full(len(start), np.inf)

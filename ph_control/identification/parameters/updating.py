@@ -158,7 +158,7 @@ class ModelUpdate(Report, Frozen):
 
 def update_model(
     f: Callable[[Array], Convertible], theta0: ArrayLike | Mapping[str, float], result: Any, *,
-    bounds: object = None, quantities: Sequence[ModalQuantity] | None = None,
+    bounds: Sequence[ArrayLike] | None = None, quantities: Sequence[ModalQuantity] | None = None,
     outputs: Any = None, modes: Any = None, prior: ArrayLike | None = None,
 ) -> ModelUpdate:  # fmt: skip
     """Parameters of a computed model that bring its modes to those of a fit, with errors.

@@ -19,7 +19,7 @@ from ...exceptions import StructureError
 from ...plotting.fit_plot import comparison_plot
 from ...plotting.style import told_gain_unit
 from ...plotting.validation_plot import channel_comparison_plot, response_comparison_plot
-from ..data.channels import Recording, ResponseMatrix
+from ..data.channels import Kind, Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import InTime
 from ..fit.pem_result import PEMResult
@@ -28,14 +28,14 @@ from ..regression.prediction import Pairs, chosen_experiment
 from .measured import (
     HeldData,
     HeldExperiment,
-    Kind,
+    Model,
     experiments_to_hold_against,
     fit_to,
     fits_of_outputs,
     names_of,
     rms_of,
 )
-from .simulation import Model, Rules, simulations_of
+from .simulation import Rules, simulations_of
 
 _SHOWN = 8  # experiments listed one by one
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import control as ct
 import numpy as np
@@ -17,15 +17,16 @@ from ..._types import Array, OneOrEach, RealOrComplex
 from ..._units import common_unit
 from ...exceptions import StructureError
 from ...plotting.inputs import given_name
-from ..data.channels import Recording, ResponseMatrix
+from ...systems.base import Convertible
+from ..data.channels import Kind
 from ..data.data_frames import is_data_frame
 from ..data.experiments import as_measured
 from ..data.frequency_record import FrequencyRecord, InFrequency
-from ..data.time_record import InTime, Record
+from ..data.time_record import InTime
 from ..fit.pem_result import PEMResult
 from ..regression.prediction import Pairs, joint_percent, shares_left, unit_norm
 
-Kind = Record | FrequencyRecord | Recording | ResponseMatrix
+Model: TypeAlias = PEMResult | Convertible
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +78,7 @@ class HeldData:
 
 
 def experiments_to_hold_against(
-    data: object, dt: OneOrEach, models: Sequence[Any], weights: OneOrEach = None
+    data: object, dt: OneOrEach, models: Sequence[Model], weights: OneOrEach = None
 ) -> tuple[Kind, ...]:
     """The experiments, their step from a model where nothing else tells it; refused without any output."""
     if dt is None and _lacks_step(data):
@@ -112,7 +113,7 @@ def _lacks_step(data: object) -> bool:
 # --- names and numbers -----------------------------------------------------------------------------------------------
 
 
-def names_of(models: Sequence[Any], labels: str | Sequence[str] | None) -> tuple[str, ...]:
+def names_of(models: Sequence[Model], labels: str | Sequence[str] | None) -> tuple[str, ...]:
     """One name for each model, all different."""
     names = [_name(model) for model in models] if labels is None else _checks.labels(labels, len(models), "models")
     repeated, counts = Counter(names), Counter[str]()
@@ -123,7 +124,7 @@ def names_of(models: Sequence[Any], labels: str | Sequence[str] | None) -> tuple
     return tuple(names)
 
 
-def _name(model: Any) -> str:
+def _name(model: Model) -> str:
     system = model.system if isinstance(model, PEMResult) else model
     if isinstance(system, ct.InputOutputSystem) and (name := given_name(system)):
         return name

@@ -18,7 +18,7 @@ from ..._types import Array, Indices, NDArray, OneOrEach, RealOrComplex
 from ..._units import unit_for
 from ...exceptions import StructureError
 from ...plotting.validation_plot import CorrelationPanel, ResponsePanel, residual_panels_plot
-from ..data.channels import Recording, ResponseMatrix
+from ..data.channels import Kind, Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..fit.pem_result import PEMResult
@@ -37,12 +37,12 @@ from .comparison import steps_ahead
 from .measured import (
     HeldData,
     HeldExperiment,
-    Kind,
+    Model,
     experiments_to_hold_against,
     fit_to,
     names_of,
 )
-from .simulation import Model, Rules, Simulation, simulations_of
+from .simulation import Rules, Simulation, simulations_of
 
 _LAGS = 25  # by default, where the data are long enough
 _SAMPLES_PER_LAG = 5

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any
 
 import control as ct
 import numpy as np
@@ -22,10 +22,10 @@ from ...modal.propagation import step_through
 from ...numerics.invariant_subspaces import equilibrated
 from ...numerics.rational import LinearSystem, state_space
 from ...systems.affine import AffineHamiltonian
-from ...systems.base import Convertible, LosslessSystem, in_normal_form
+from ...systems.base import LosslessSystem, in_normal_form
 from ...systems.canonical_forms import ObservableHamiltonian
 from ...systems.port_hamiltonian import ph
-from ..data.channels import Recording, ResponseMatrix, recording, several
+from ..data.channels import Kind, Recording, ResponseMatrix, recording, several
 from ..data.frequency_record import FrequencyRecord, InFrequency, LineErrors
 from ..data.time_record import InTime, Record
 from ..data.windowed import windowed_response
@@ -33,9 +33,7 @@ from ..diagnosis.fitted_directions import Directions, directions_of, same_data
 from ..fit.pem_result import PEMResult
 from ..fit.prediction_ahead import ahead, ahead_of_growth, grows, is_simulated
 from ..regression.prediction import FittedChannels, FittedExperiment, halved
-
-Kind = Record | FrequencyRecord | Recording | ResponseMatrix
-Model: TypeAlias = PEMResult | Convertible
+from .measured import Model
 
 _STEP_TOLERANCE = 0.01  # as between the time of a record and its dt
 _DIVERGED = 1e10  # times the measured output: forced and free motion then cancel to a few digits
