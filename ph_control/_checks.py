@@ -547,7 +547,7 @@ _KNOWN_NAMES = {
 
 
 def known_keywords(
-    function: str, names: Mapping[str, Any], own: Sequence[str] = (), advice: Mapping[str, str] | None = None
+    function: str, names: Mapping[str, object], own: Sequence[str] = (), advice: Mapping[str, str] | None = None
 ) -> None:
     """Refuse keywords that are no names of a system and its signals; `own` are those that a function has beside them.
 
@@ -562,7 +562,7 @@ def known_keywords(
         )
 
 
-def signal_names(names: Mapping[str, Any], **sizes: int) -> None:
+def signal_names(names: Mapping[str, object], **sizes: int) -> None:
     """Check the name of a system, and those of so many signals of each kind, before python-control reads them."""
     if names.get("name") is not None:
         _text("name", names["name"])

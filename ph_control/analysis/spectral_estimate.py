@@ -61,7 +61,7 @@ class SpectralEstimate(ct.FrequencyResponseData):
         self.coherence, self.segments, self.step = _checks.readonly(coherence), segments, step
         self.window, self.intersample = window, intersample
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, object]) -> None:
         self.__dict__.update(state)
         _checks.readonly(self.coherence)
 

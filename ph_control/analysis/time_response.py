@@ -579,6 +579,6 @@ class _Response(TimeResponseData):
         other.__dict__.update(self.__dict__)
         return other
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         self.x  # noqa: B018  # a function cannot be pickled, what it gives can
         return self.__dict__

@@ -373,7 +373,7 @@ def _with_losses(fields: Mapping[str, Any], Q: Any, B: Any, source: str, name: s
     )
 
 
-def _spelling(fields: Mapping[str, Any], known: str, source: str) -> str | None:
+def _spelling(fields: Mapping[str, object], known: str, source: str) -> str | None:
     """How a name is written here: exactly so, or in another case, but for d of modes, which is not D."""
     if known in fields:
         return known

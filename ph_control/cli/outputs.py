@@ -37,7 +37,7 @@ def strict(value: object, indent: int | None = 2) -> str:
     return json.dumps(plain(value, lambda number: None), indent=indent, allow_nan=False) + "\n"
 
 
-def emit_json(answer: dict[str, Any]) -> None:
+def emit_json(answer: dict[str, object]) -> None:
     """Print an answer."""
     emit(strict(answer))
 
@@ -52,13 +52,13 @@ def conclude(options: Namespace, answer: dict[str, Any], files: Sequence[str | N
     return DONE
 
 
-def modes_of(form: Any) -> dict[str, Any]:
+def modes_of(form: Any) -> dict[str, object]:
     """Fields of a modal form."""
     kappa_0 = form.kappa_0 if len(form.rigid) else 0.0
     return {"d": form.d, "frequency": form.d / (2 * math.pi), "r": form.r, "kappa": form.kappa, "kappa_0": kappa_0}
 
 
-def fit_of(result: phc.PEMResult) -> dict[str, Any]:
+def fit_of(result: phc.PEMResult) -> dict[str, object]:
     """Fields of the result of a fit."""
     answer = {
         **_fields(result, *_FIT),
@@ -82,11 +82,11 @@ def fit_of(result: phc.PEMResult) -> dict[str, Any]:
     return answer
 
 
-def _fields(thing: object, *names: str) -> dict[str, Any]:
+def _fields(thing: object, *names: str) -> dict[str, object]:
     return {name: getattr(thing, name) for name in names}
 
 
-def _experiment_of(experiment: Any) -> dict[str, Any]:
+def _experiment_of(experiment: Any) -> dict[str, object]:
     record = experiment.record
     missing = int((~record.observed).sum())
     moved = {name: getattr(experiment, name) for name in ("initial_state", "offset", "drift", "offsets", "drifts")

@@ -38,11 +38,11 @@ class Codec:
     """
 
     type: type
-    to_dict: Callable[[Any], dict[str, Any]]
+    to_dict: Callable[[Any], dict[str, object]]
     from_dict: Callable[[Fields], Any]
 
 
-def _modes_to_dict(modes: ModalForm) -> dict[str, Any]:
+def _modes_to_dict(modes: ModalForm) -> dict[str, object]:
     return {"ports": modes.nports, "d": modes.d, "nu": modes.nu, "rigid": modes.rigid, "r": modes.r}
 
 
@@ -57,7 +57,7 @@ def _modes_from_dict(fields: Fields) -> ModalForm:
     return ModalForm(d, nu, rigid, r)
 
 
-def system_to_dict(system: PortHamiltonian) -> dict[str, Any]:
+def system_to_dict(system: PortHamiltonian) -> dict[str, object]:
     """Fields of a system: its names, and its matrices or its modes, whichever it was made of."""
     names = system._names() | ({"time_unit": system.time_unit} if system.time_unit else {})
     if system._given is None:
@@ -79,7 +79,7 @@ def _names_from_dict(fields: Fields) -> SystemNames:
     return {"inputs": inputs, "outputs": outputs, "states": states, "name": fields.text("name")}
 
 
-def _parameters_to_dict(system: Any) -> dict[str, Any]:
+def _parameters_to_dict(system: Any) -> dict[str, object]:
     """Fields of a canonical form."""
     return {**system._names(), "d": system.d, "v": system.v}
 
@@ -91,7 +91,7 @@ def _parameters_codec(kind: type[Any]) -> Codec:
     return Codec(kind, _parameters_to_dict, restore)
 
 
-def _affine_to_dict(system: AffineHamiltonian) -> dict[str, Any]:
+def _affine_to_dict(system: AffineHamiltonian) -> dict[str, object]:
     return {**system._names(), "Q": system.Q, "B": system.C.T.copy()}
 
 
@@ -100,7 +100,7 @@ def _affine_from_dict(fields: Fields) -> AffineHamiltonian:
     return AffineHamiltonian(*matrices, **_names_from_dict(fields))
 
 
-def dissipative_to_dict(system: DissipativePortHamiltonian) -> dict[str, Any]:
+def dissipative_to_dict(system: DissipativePortHamiltonian) -> dict[str, object]:
     """Fields of a system with losses: its names, structure matrices and sensors."""
     parts = {name: getattr(system, name) for name in "QGJRPSN"}
     rows, through = system.sensors
@@ -123,7 +123,7 @@ def _dissipative_from_dict(fields: Fields) -> DissipativePortHamiltonian:
     return system
 
 
-def _general_to_dict(form: GeneralModalForm) -> dict[str, Any]:
+def _general_to_dict(form: GeneralModalForm) -> dict[str, object]:
     single = form.single
     clusters = {str(k): {"A": cluster.A, "B": cluster.B, "C": cluster.C} for k, cluster in enumerate(form.clusters, 1)}
     return {

@@ -222,7 +222,7 @@ def are_labels_of_response(labels: Sequence[str]) -> bool:
 # --- columns -----------------------------------------------------------------------------------------------------
 
 
-def _columns_of(table: Table, given: Mapping[str, Any]) -> tuple[int, list[NDArray[np.intp]], bool]:
+def _columns_of(table: Table, given: Mapping[str, object]) -> tuple[int, list[NDArray[np.intp]], bool]:
     """Column of the frequencies, those of both parts of each entry, shape (p, m), and whether these are polar."""
     named = [pair for pair in _PAIRS if any(given[role] is not None for role in pair)]
     if len(named) > 1:

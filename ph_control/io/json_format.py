@@ -62,7 +62,7 @@ def plain(value: object, spelt: Callable[[float], str | None] = _spelt, *, long:
     return value
 
 
-def compose(kind: str, data: dict[str, Any]) -> str:
+def compose(kind: str, data: dict[str, object]) -> str:
     """Text of a document."""
     data = plain(data, long=_LONG)
     document = {"format": FORMAT, "schema": SCHEMA, "kind": kind, "data": data, "sha256": _checksum(kind, data)}
@@ -145,7 +145,7 @@ class Fields:
         Where it is, for the errors: the file and the path of fields in it.
     """
 
-    def __init__(self, content: dict[str, Any], place: str) -> None:
+    def __init__(self, content: dict[str, object], place: str) -> None:
         self.content = content
         self.place = place
         self.seen: set[str] = set()
@@ -220,7 +220,7 @@ class Fields:
             raise FileFormatError(f"{self.place}: {key} holds NaN, or a number that is too large for a double")
         return numbers
 
-    def _unpacked(self, key: str, value: dict[str, Any]) -> Array:
+    def _unpacked(self, key: str, value: dict[str, object]) -> Array:
         """Array of its bytes."""
         shape: Any = value.get("shape")
         packed = value.get("float64")

@@ -49,7 +49,7 @@ def is_matlab(content: bytes, name: str) -> bool:
     return content.startswith(b"MATLAB ") or content.startswith(b"\x89HDF") or name.casefold().endswith(".mat")
 
 
-def read_matlab(content: bytes, name: str) -> dict[str, Any]:
+def read_matlab(content: bytes, name: str) -> dict[str, object]:
     """Variables of a `.mat` file: arrays, structures as mappings, several as `Elements`; of other things a text."""
     try:
         if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
@@ -139,7 +139,7 @@ def _matrix(body: bytes, order: str) -> tuple[str, Any]:
     return name, {_SPARSE: "a sparse matrix of logical values"}[kind]
 
 
-def _structures(shape: tuple[int, ...], values: Sequence[Mapping[str, Any]]) -> Any:
+def _structures(shape: tuple[int, ...], values: Sequence[Mapping[str, object]]) -> Any:
     """Structure, or array of several."""
     return values[0] if len(values) == math.prod(shape) == 1 else Elements("an array of structures", shape, values)
 
@@ -170,7 +170,7 @@ def _filled(shape: tuple[int, ...], rows: Any, ends: Any, values: Any) -> Any:
 # --- version 7.3 -----------------------------------------------------------------------------------------------------
 
 
-def _hdf5_variables(content: bytes, name: str) -> dict[str, Any]:
+def _hdf5_variables(content: bytes, name: str) -> dict[str, object]:
     """Variables of a file, as `read_matlab` gives them."""
     try:
         import h5py
@@ -292,7 +292,7 @@ class _Hdf5:
 # --- writing ----------------------------------------------------------------------------------------------------------
 
 
-def matlab_of(fields: Mapping[str, Any]) -> bytes:
+def matlab_of(fields: Mapping[str, object]) -> bytes:
     """Content of a `.mat` file."""
     with io.BytesIO() as buffer:
         cells = {key: np.array(value, object) if isinstance(value, list) else value for key, value in fields.items()}

@@ -270,7 +270,7 @@ class _Variables:
         return _real(np.ravel(value) if column is None else value[:, column], label, self.name)
 
 
-def _flat(fields: Mapping[str, Any], before: str) -> Iterator[tuple[str, Any]]:
+def _flat(fields: Mapping[str, object], before: str) -> Iterator[tuple[str, Any]]:
     """Names of all arrays and what else there is; those of an element of an array of structures as `runs[1].u`."""
     for key, value in fields.items():
         yield from _inside(f"{before}{printable(key, one_line=True)}", value)

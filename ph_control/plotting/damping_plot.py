@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import control as ct
 import numpy as np
@@ -22,8 +21,8 @@ from .style import AxesGiven, LineStyle, Look, frequency_axis, labelled, picture
 _FACTORS = np.geomspace(1e-2, 1e2, 161)
 _NAMED = 10  # modes that a legend names
 _WIDE = 10.0  # ratio of natural frequencies beyond which their axis is logarithmic
-_START: dict[str, Any] = {"linestyle": "none", "marker": "x", "markersize": 6.0, "zorder": 3, "clip_on": False}
-_CHOSEN: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5.0, "zorder": 4, "clip_on": False}
+_START: dict[str, object] = {"linestyle": "none", "marker": "x", "markersize": 6.0, "zorder": 3, "clip_on": False}
+_CHOSEN: dict[str, object] = {"linestyle": "none", "marker": "o", "markersize": 5.0, "zorder": 4, "clip_on": False}
 
 
 def damping_plot(

@@ -130,7 +130,7 @@ class Look:
         return axis.legend(handles, labels, **where)
 
 
-def _above(axis: Axes, labels: list[str]) -> dict[str, Any]:
+def _above(axis: Axes, labels: list[str]) -> dict[str, object]:
     """Place of a legend where no line can hide behind it, in as many columns as there is room for."""
     room = _PER_INCH * axis.figure.bbox.width / axis.figure.dpi
     # matplotlib fills column by column, each as wide as its longest entry

@@ -388,7 +388,7 @@ def inherited_names(source: object, names: SystemNames, *kinds: str) -> SystemNa
     """Names given, completed by those of a system; python-control takes `input` for `inputs` and so on."""
     if not isinstance(source, ct.InputOutputSystem):
         return names
-    kept: dict[str, Any] = {} if source._generic_name_check() else {"name": source.name}
+    kept: dict[str, object] = {} if source._generic_name_check() else {"name": source.name}
     for kind in kinds:
         if names.get(kind) is None and names.get(kind[:-1]) is None:
             kept[kind] = getattr(source, kind[:-1] + "_labels")

@@ -118,7 +118,7 @@ class PortHamiltonian(LosslessSystem):
         given: tuple[Array, Array] | None,
         modes: ModalForm | None,
         names: SystemNames,
-        kept: dict[str, Any] | None = None,
+        kept: dict[str, object] | None = None,
     ) -> None:
         """Take matrices that have been checked, or modes, and views of them that are known."""
         self._given, self._modes = given, modes
@@ -516,11 +516,11 @@ class PortHamiltonian(LosslessSystem):
             _checks.representable(what, scaled.rigid**2, nonzero=m.rigid != 0)
         return PortHamiltonian._from_modes(scaled)
 
-    def _kept(self, names: tuple[str, ...]) -> dict[str, Any]:
+    def _kept(self, names: tuple[str, ...]) -> dict[str, object]:
         """Views of these names, as far as they have been computed, of a system that was given by matrices."""
         return {} if self._given is None else {name: self._views[name] for name in names if name in self._views}
 
-    def _attached(self) -> dict[str, Any]:
+    def _attached(self) -> dict[str, object]:
         """Attributes that are set after a system was made, for pickles."""
         names = "_time_unit", "structural_modes", "base_motion", "error_bound", "cost"
         return {name: getattr(self, name) for name in names}

@@ -124,7 +124,7 @@ def encoded(made: Any, form: str | None, kind: str) -> str | bytes:
     return matlab_of(arrays) if kind == "mat" else _text(arrays, " " if kind == "txt" else ",")
 
 
-def _polynomials(system: Any) -> dict[str, Any]:
+def _polynomials(system: Any) -> dict[str, object]:
     """Coefficients of a transfer function with one input and one output."""
     if not system.issiso():
         raise StructureError(

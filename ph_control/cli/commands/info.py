@@ -47,7 +47,7 @@ def run(options: Namespace) -> int:
     return DONE if all("violations" not in fields or not fields["violations"] for fields, _ in answers) else NO
 
 
-def _answer(model: Model) -> tuple[dict[str, Any], str]:
+def _answer(model: Model) -> tuple[dict[str, object], str]:
     """What there is to say of a model, for machines and for people."""
     known: dict[str, Any] = {"source": model.source, "kind": type(model.content).__name__}
     if model.is_result:
@@ -84,7 +84,7 @@ def _modes(system: phc.PortHamiltonian) -> tuple[phc.ModalForm, str | None]:
     return system if isinstance(system, phc.ModalForm) else system.modes, getattr(system, "time_unit", None)
 
 
-def _fields_of(system: Any) -> dict[str, Any]:
+def _fields_of(system: Any) -> dict[str, object]:
     form, unit = _modes(system)
     fields: dict[str, Any] = {"ports": form.nports, "states": 2 * form.n, "degrees_of_freedom": form.n}
     if system is not form:

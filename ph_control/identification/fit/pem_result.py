@@ -244,7 +244,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         object.__setattr__(self, "noise", None if noise is None else self._with_plant(noise))
         super().__post_init__()
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """What was estimated; systems are made again."""
         return {name: value for name, value in vars(self).items() if name not in _MADE_AGAIN}
 

@@ -55,7 +55,7 @@ Fitted = FittedExperiment | FittedChannels
 # --- by the types of fields ------------------------------------------------------------------------------------------
 
 
-def _written(thing: Any, *apart: str) -> dict[str, Any]:
+def _written(thing: Any, *apart: str) -> dict[str, object]:
     """Fields of an object as a document holds them, but for some; what is None is left out."""
     hints = get_type_hints(type(thing))
     values = {
@@ -83,7 +83,7 @@ def _is_of_objects(hint: Any) -> bool:
     return get_origin(hint) is tuple and is_dataclass(get_args(hint)[0])
 
 
-def _counted(things: Iterable[dict[str, Any]]) -> dict[str, Any]:
+def _counted(things: Iterable[dict[str, object]]) -> dict[str, object]:
     """Objects under the names '1', '2', and so on."""
     return {str(k): members for k, members in enumerate(things, start=1)}
 
@@ -165,7 +165,7 @@ def _places(fields: Fields, name: str, count: int | None = None) -> tuple[int, .
 # --- a result --------------------------------------------------------------------------------------------------------
 
 
-def _table(rows: Iterable[Any], *names: str) -> dict[str, Any]:
+def _table(rows: Iterable[Any], *names: str) -> dict[str, object]:
     """Columns of rows that have frequencies each, these one after the other."""
     columns: dict[str, Any] = {name: [getattr(row, name) for row in rows] for name in names}
     return columns | {"d": np.concatenate([np.zeros(0), *[row.d for row in rows]])}
@@ -233,7 +233,7 @@ def _experiment(fields: Fields, n: int, states: int, record: Kind) -> Fitted:
     return _read(FittedExperiment if single else FittedChannels, fields, shapes, **known)
 
 
-def _to_dict(result: PEMResult, *apart: str) -> dict[str, Any]:
+def _to_dict(result: PEMResult, *apart: str) -> dict[str, object]:
     rows, columns = np.triu_indices(len(result.covariance))
     return (
         _written(result, "experiments", "order_table", "ports", "noise")
@@ -247,7 +247,7 @@ def _to_dict(result: PEMResult, *apart: str) -> dict[str, Any]:
     )
 
 
-def _noise_to_dict(noise: NoiseModel | None) -> dict[str, Any]:
+def _noise_to_dict(noise: NoiseModel | None) -> dict[str, object]:
     """The noise without the matrices of the plant, which a result enters again."""
     if noise is None:
         return {}
@@ -333,7 +333,7 @@ _NOT_KEPT = (
 )  # fmt: skip
 
 
-def _lossless_parts(fields: Fields, experiments: Callable[..., Any]) -> dict[str, Any]:
+def _lossless_parts(fields: Fields, experiments: Callable[..., Any]) -> dict[str, object]:
     """Read what a lossless result has in another form; `experiments` reads the data."""
     system = system_from_dict(fields.nested("system"))
     fields.skip(*_NOT_KEPT)
