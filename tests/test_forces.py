@@ -218,6 +218,22 @@ def test_forces_that_are_given_are_refused_where_samples_are_missing():
         fit_of((u, y), noise="forces")
 
 
+def test_forces_that_do_nothing_at_frequency_zero_leave_errors_that_hold():
+    """Velocities of a structure have next to no noise of forces there, and one force comes to both outputs."""
+    step, w, zeta = 0.1, np.array([1.0, 2.2, 3.5]), np.array([0.01, 0.012, 0.02])
+    poles, shapes = w * (-zeta + 1j * np.sqrt(1 - zeta**2)), np.array([[0.4, 0.6, 0.7], [0.7, 0.3, -0.6]])
+    rng = np.random.default_rng([27, 5])
+    forces, y = np.stack([rng.standard_normal(2000), 0.3 * rng.standard_normal(2000)]), np.zeros((2, 2000))
+    for pole, shape, drive in zip(poles, shapes.T, np.array([[0.4, 0.6], [0.6, -0.7], [0.7, 0.4]]), strict=True):
+        z = np.exp(pole * step)
+        y += shape[:, None] * lfilter([0, 1], [1, -z], (z - 1) / pole * (drive @ forces)).real
+    y += 0.02 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    result = phc.pem((forces[:1], y), dt=step)
+    assert result.order == 3 and "FORCES" in causes(result)
+    assert np.all(np.abs(result.damping_ratios - zeta) < 3 * result.stderr["damping_ratios"])
+    assert np.all(result.stderr["damping_ratios"] < 0.01)
+
+
 def test_a_bootstrap_beside_forces_is_refused(forced):
     with pytest.raises(phc.StructureError, match="forces that nobody measured come through this plant"):
         forced.bootstrap(3)

@@ -381,7 +381,7 @@ def _autoregressions(evaluation: LikelihoodEvaluation, charge: float) -> tuple[f
     products = np.zeros((evaluation.p, most + 1))
     for experiment, noise in zip(problem.experiments, evaluation.disturbances, strict=True):
         # without the constant, which slow noise can hardly be told from
-        power = np.abs(noise) ** 2 * (experiment.z != 1)
+        power = np.abs(noise) ** 2 * experiment.moving
         products += np.fft.irfft(power, experiment.samples)[:, : most + 1] * experiment.samples
     cost, filters = 0.0, list[Array]()
     for product in products:
@@ -638,7 +638,7 @@ def _finding(free: FreeFit, noise: FittedNoise, evaluation: LikelihoodEvaluation
     if noise.is_coloured:
         squares, noises = np.zeros((2, len(labels)))
         for experiment, disturbance in zip(evaluation.problem.experiments, evaluation.disturbances, strict=True):
-            moving = experiment.counts * (experiment.z != 1)
+            moving = experiment.counts * experiment.moving
             squares += np.abs(experiment.Y) ** 2 @ moving
             noises += np.abs(disturbance) ** 2 @ moving
         return Finding(Cause.FORCES, tuple(np.sqrt(noises / squares).tolist()), gain)

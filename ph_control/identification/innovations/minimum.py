@@ -25,7 +25,7 @@ from ..._types import Array, ComplexArray, Indices, Mask
 from ..regression.free import input_places
 from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
-from .noise_sections import NoiseSections
+from .noise_sections import NoiseSections, bins_of
 
 _AT_A_TIME = 1 << 22  # numbers of a Jacobian
 _BINS = 1 << 13  # of an experiment that the information is made of
@@ -69,7 +69,7 @@ class Experiment:
         T = y.shape[1]
         bins = np.arange(T // 2 + 1)
         counts = np.where((bins == 0) | (2 * bins == T), 1.0, 2.0)
-        return cls(np.exp(2j * np.pi * bins / T), counts, np.fft.rfft(y) / np.sqrt(T), tuple(rows))
+        return cls(bins_of(T), counts, np.fft.rfft(y) / np.sqrt(T), tuple(rows))
 
     @classmethod
     def of_rows(cls, rows: Sequence[FreeRecord]) -> Experiment:
@@ -83,6 +83,11 @@ class Experiment:
     def samples(self) -> int:
         """Number of samples of each output."""
         return round(self.counts.sum())
+
+    @property
+    def moving(self) -> Mask:
+        """Bins but for that of frequency zero."""
+        return np.arange(len(self.z)) > 0
 
     def thinned(self, stride: int) -> Experiment:
         """Every so many of the bins, each for all of them; of outputs alone."""

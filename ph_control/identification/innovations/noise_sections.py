@@ -24,6 +24,17 @@ _NEAR = 1e-4  # square of an angle below which a series has all digits
 _BESIDE = 1e-9  # of a bin to a pole that it falls on: the limit of what states and gain make of it has as many digits
 
 
+def bins_of(samples: int) -> ComplexArray:
+    """Where noise is evaluated for the Fourier bins of so many samples: on the unit circle, but for frequency zero.
+
+    There it is half a bin beside: what outputs have there is their constant, and noise of a predictor with a pole at
+    frequency zero, of which likelihoods often have their maximum, has nothing there.
+    """
+    z = np.exp(2j * np.pi * np.arange(samples // 2 + 1) / samples)
+    z[0] = 1 + np.pi / samples
+    return np.asarray(z)
+
+
 @dataclass(frozen=True, eq=False)
 class NoiseSections:
     """Sections that noise comes through, from innovations (p,) to outputs (p,).
