@@ -211,11 +211,41 @@ def test_inputs_that_answer_to_outputs_are_no_traces():
     assert np.all(np.abs(result.damping_ratios - ZETA) < 4 * result.stderr["damping_ratios"])
 
 
-def test_forces_that_are_given_are_refused_where_samples_are_missing():
+def test_forces_that_are_given_are_refused_where_many_samples_are_missing():
     u, y = record(3, 300, forces=0.3)
-    y[1, 100] = np.nan
-    with pytest.raises(phc.StructureError, match="1 of 900 samples of outputs are missing, and noise='forces' needs"):
+    y[1, 100:160] = np.nan
+    with pytest.raises(phc.StructureError, match="20 % of the samples of an output are missing, and noise='forces'"):
         fit_of((u, y), noise="forces")
+
+
+@pytest.mark.parametrize("share", [0.02, *slowly(0.08)])
+def test_samples_are_missing_beside_forces(share):
+    """Scattered samples that are missing take the modes and their errors nowhere."""
+    u, y = record(4, 2000, forces=0.3)
+    whole = fit_of((u, y))
+    y[np.random.default_rng(4).random(y.shape) < share] = np.nan
+    result = fit_of((u, y))
+    assert result.order == 3 and not len(result.real_poles) and {"FORCES"} <= causes(result) <= {"FORCES", "LOSSES"}
+    errors = result.stderr["damping_ratios"]
+    assert np.all(np.abs(result.damping_ratios - ZETA) < 3 * errors)
+    assert np.all(np.abs(result.damping_ratios - whole.damping_ratios) < errors)
+    np.testing.assert_allclose(errors, whole.stderr["damping_ratios"], rtol=0.2)
+
+
+def test_forces_that_do_nothing_at_frequency_zero_leave_errors_that_hold():
+    """Velocities of a structure have next to no noise of forces there, and one force comes to both outputs."""
+    step, w, zeta = 0.1, np.array([1.0, 2.2, 3.5]), np.array([0.01, 0.012, 0.02])
+    poles, shapes = w * (-zeta + 1j * np.sqrt(1 - zeta**2)), np.array([[0.4, 0.6, 0.7], [0.7, 0.3, -0.6]])
+    rng = np.random.default_rng([27, 5])
+    forces, y = np.stack([rng.standard_normal(2000), 0.3 * rng.standard_normal(2000)]), np.zeros((2, 2000))
+    for pole, shape, drive in zip(poles, shapes.T, np.array([[0.4, 0.6], [0.6, -0.7], [0.7, 0.4]]), strict=True):
+        z = np.exp(pole * step)
+        y += shape[:, None] * lfilter([0, 1], [1, -z], (z - 1) / pole * (drive @ forces)).real
+    y += 0.02 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    result = phc.pem((forces[:1], y), dt=step)
+    assert result.order == 3 and "FORCES" in causes(result)
+    assert np.all(np.abs(result.damping_ratios - zeta) < 3 * result.stderr["damping_ratios"])
+    assert np.all(result.stderr["damping_ratios"] < 0.01)
 
 
 def test_a_bootstrap_beside_forces_is_refused(forced):

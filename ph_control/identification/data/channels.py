@@ -14,7 +14,7 @@ from control import FrequencyResponseData, TimeResponseData
 from ... import _checks
 from ..._display import first_of
 from ..._options import ResponseInterpolation
-from ..._types import Array, ArrayLike, ComplexArray, Indices
+from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask
 from ..._units import checked_unit
 from ...analysis.spectral_window import SpectralWindow, window_of
 from ...exceptions import IdentificationError, StructureError
@@ -41,6 +41,22 @@ Labels = tuple[str, ...]
 _ACTING = 0.01  # of its largest value: an input that acts
 _QUIET = range(3, 17)  # samples before that: fewer show nothing, more tell the motion of eight modes by themselves
 _STILL = 1 / 3  # of the outputs that follow: what outputs are before that, of a system at rest
+
+
+def missing_in(y: Array) -> Mask:
+    """Samples that are missing of outputs (p, T) that were measured."""
+    unseen = np.isnan(y)
+    return np.asarray(unseen & ~unseen.all(axis=1, keepdims=True))
+
+
+def bridged(y: Array) -> Array:
+    """Outputs (p, T) with lines from sample to sample where some are missing."""
+    gaps, t = missing_in(y), np.arange(y.shape[1])
+    y = np.array(y, float) if gaps.any() else y
+    for row, gap in zip(y, gaps, strict=True):
+        if gap.any():
+            row[gap] = np.interp(t[gap], t[~gap], row[~gap])
+    return y
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -19,7 +19,7 @@ from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.channel_rows import is_short
 from ..search.findings import Cause, Finding
-from ..search.fitted_modes import FreeFit
+from ..search.fitted_modes import Criteria, FreeFit
 from ..search.whitening import foretold, likeliest_ratio, sampled_response
 from ..uncertainty.noise_model import NoiseModel
 from ..uncertainty.residual_tests import is_white
@@ -74,19 +74,33 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
 
 
 def _whitened(free: FreeFit, projection: FreeProjection, rows: Sequence[FreeRecord]) -> FreeFit:
-    """The fit refined in rows of white noise; as it is where modes are lost, begin to grow, or grow twice as fast."""
+    """The fit refined in rows of white noise, with its likelihood there, if the BIC is smaller.
+
+    As it is where modes are lost, begin to grow, or grow twice as fast.
+    """
     refined = refine_free(lambda _: rows, projection.p, free.region, _EXACT, projection.fed)
     if len(refined.p) != len(projection.p) or np.any(refined.p.real > 2 * np.maximum(projection.p.real, 0.0)):
         return free
     measured = FreeProjection(projection.experiments, refined.p, projection.fed)
     if measured.loss > _ASTRAY * projection.loss:
         return free
-    counts = np.zeros(len(free.scales))
+    counts, samples = np.zeros((2, len(free.scales)))
     for record in rows:
         counts[record.outputs] += record.samples
-    sizes = np.sqrt(counts / refined.losses)[:, None]
-    rows = [record.in_units(float(sizes[record.outputs[0], 0])) for record in rows]
-    return replace(free, projection=FreeProjection(rows, refined.p, projection.fed), measured=measured)
+    for plain in measured.experiments:
+        samples[plain.outputs] += plain.samples
+    sizes = np.sqrt(counts / refined.losses)
+    deviations = free.scales / (sizes * np.abs([b[0] for b in free.filters]))  # of the innovations
+    loglik = -float(np.sum(samples * (np.log(deviations) + 0.5 * np.log(2 * np.pi) + 0.5)))
+    more = sum(len(b) - 1 for b in free.filters) - sum(len(b) - 1 for b in free.noise)
+    criteria = Criteria.of(loglik, free.unknowns + more + len(samples), float(samples.sum()))
+    if criteria.bic >= free.criteria.bic:
+        return replace(free, filters=())
+    rows = [record.in_units(float(sizes[record.outputs[0]])) for record in rows]
+    return replace(
+        free, projection=FreeProjection(rows, refined.p, projection.fed), measured=measured, noise=free.filters,
+        filters=(), criteria=criteria, unknowns=free.unknowns + more,
+    )  # fmt: skip
 
 
 def noise_of(free: FreeFit, records: Sequence[FreeRecord]) -> list[OutputNoise]:

@@ -16,9 +16,9 @@ from ..data.channels import Recording
 from ..regression.free import FreeProjection
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
+from ..search.channel_rows import experiments_of
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
-from .noise_levels import experiments_of
 
 _STILL = 3.0  # over the length of a record: the decay rate that a tone may seem to have
 _LARGEST = 1 << 24  # samples of all outputs beyond which nothing is said of tones

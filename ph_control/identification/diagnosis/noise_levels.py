@@ -18,7 +18,7 @@ from ..data.channels import Recording, ResponseMatrix
 from ..data.time_record import LONG, Signal, blocks, is_long
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from ..search.channel_rows import Experiments
+from ..search.channel_rows import Experiments, experiments_of
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from ..search.whitening import foretold
@@ -282,13 +282,6 @@ def level_of(channel: Recording | ResponseMatrix) -> Array | None:
     """Level of the noise of a recording (p, T), None where it does not change."""
     level: Array | None = getattr(channel, "level", None)
     return level
-
-
-def experiments_of(rows: Sequence[Any], channels: Experiments) -> Indices:
-    """Which experiment each of some rows is from: experiments have rows for the outputs that they observe."""
-    ends = np.cumsum([int(channel.observed.any(axis=-1).sum()) for channel in channels])
-    starts = np.cumsum([0, *(len(record.outputs) for record in rows)])[:-1]
-    return np.searchsorted(ends, starts, side="right")
 
 
 def noise_units(fit: FreeFit) -> tuple[Array, float]:

@@ -17,13 +17,13 @@ from ...exceptions import IdentificationError, StructureError
 from ..data.channels import Recording
 from ..data.experiments import as_channels
 from ..diagnosis.hum import Tones
-from ..diagnosis.noise_levels import experiments_of, levels_of
+from ..diagnosis.noise_levels import levels_of
 from ..regression.free import FreeProjection, GivenResidues, refine_free
 from ..regression.frequency_rows import FreeResponse, terms_in
 from ..regression.prediction import FittedChannels, ResponseBackground, halved, state_of
 from ..regression.sections import PoleRegion
 from ..regression.time_rows import FreeRecord
-from ..search.channel_rows import RowOptions
+from ..search.channel_rows import RowOptions, experiments_of
 from ..search.free_search import Responses
 from ..search.path import FreePath
 from ..structure.constrained import StructuredFit, constrained

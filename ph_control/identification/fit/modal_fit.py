@@ -22,7 +22,7 @@ from ..diagnosis.alternatives import Searched, beside_disturbances
 from ..diagnosis.coloured_noise import beside_coloured_noise, fitted_noise
 from ..diagnosis.verdict import WHITE
 from ..estimates.estimates import Estimates
-from ..innovations.forces import KINDS, beside_forces
+from ..innovations.forces import KINDS, MOST_MISSING, beside_forces
 from ..moves.free_fit import free_fit, free_refinement
 from ..parameters.fitted_parameters import FittedParameters
 from ..regression.free import FreeProjection, Lateness, refine_free
@@ -64,13 +64,15 @@ def fit_channels(
 
 
 def _refuse_gaps(channels: Channels, noise: str) -> None:
-    """Refuse missing samples beside inputs in noise that is given and that outputs share: it has no likelihood then."""
+    """Refuse many missing samples beside inputs in noise that is given and that outputs share: it has no likelihood."""
+    if noise not in KINDS:
+        return
     driven = [data for data in channels if isinstance(data, Recording) and data.u.any()]
-    missing, count = sum(int(np.sum(~data.observed)) for data in driven), sum(data.y.size for data in driven)
-    if noise in KINDS and missing:
+    share = max((float(np.mean(~data.observed, axis=1).max()) for data in driven), default=0.0)
+    if share > MOST_MISSING:
         raise StructureError(
-            f"{missing} of {count} samples of outputs are missing, and noise={noise!r} needs recordings without gaps: "
-            "cut recordings where samples are missing, into a list, or leave noise out"
+            f"{100 * share:.0f} % of the samples of an output are missing, and noise={noise!r} allows for "
+            f"{100 * MOST_MISSING:.0f} %: cut recordings where samples are missing, into a list, or leave noise out"
         )
 
 

@@ -24,7 +24,7 @@ from ..diagnosis.noise_levels import findings_of, levels_of_noise, outliers
 from ..diagnosis.verdict import CUT_SHORT, WHITE, HypothesisTest, Outcome
 from ..estimates.scaled_shapes import ModeShapes, shape_errors
 from ..innovations.ambient import AmbientFit, AmbientOrder, ambient_fit, errors_beside, shapes_of
-from ..innovations.forces import FittedNoise
+from ..innovations.forces import MOST_MISSING, FittedNoise
 from ..innovations.noise_sections import NoiseSections
 from ..regression.prediction import FittedChannels, FittedExperiment, joint_percent, natural_jacobian, shares_left
 from ..regression.tuning import TUNING
@@ -48,7 +48,6 @@ _SLOW = 1.0  # decay of a real pole in a record, below which a line may explain 
 _PASSES = 50  # over values that stand out
 _REACH = 41  # samples about one in which another is judged without it
 _ALONE = 5.0  # times the slow motion of other outputs, that of one by itself
-_MISSING = 0.1  # of the samples of an output, at most
 
 _Search = Callable[[Sequence[Recording]], AmbientFit | None]
 
@@ -61,13 +60,13 @@ def are_alone(channels: Channels, structure: str, options: Options) -> bool:
     recordings = [data for data in channels if isinstance(data, Recording) and not data.u.any()]
     shares = [data.observed.mean(axis=1) for data in recordings]
     alone = len(recordings) == len(channels) and bool(np.all(shares, axis=0).any()) and all(
-        np.all((share == 0) | (share >= 1 - _MISSING)) for share in shares
+        np.all((share == 0) | (share >= 1 - MOST_MISSING)) for share in shares
     )  # fmt: skip
     steps = {data.dt for data in channels if isinstance(data, Recording)}
     if options.noise == "forces" and not alone and not any(getattr(data, "driven", True) for data in channels):
         raise StructureError(
             "noise='forces' of outputs alone needs recordings that have an output in common, and in which no more than "
-            f"{100 * _MISSING:.0f} % of the samples of an output are missing: cut recordings where samples are "
+            f"{100 * MOST_MISSING:.0f} % of the samples of an output are missing: cut recordings where samples are "
             "missing, and fit set-ups without a common sensor one by one"
         )
     lossless = structure == "lossless" or options.method != "exact"

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, cg
 
 from ..._heartbeat import Report
 from ..._types import Array, ComplexArray, Indices, Mask
-from ..data.channels import Recording
+from ..data.channels import Recording, bridged, missing_in
 from ..search.fitted_modes import Criteria
 from ..search.predictor_states import cross_correlations, longest_past
 from .minimum import Experiment, InnovationsModel, LikelihoodEvaluation, Minimum, Problem, minimise
@@ -39,7 +38,6 @@ _ROUGH = 20.0  # what a step gains at least before models of set-ups are compare
 _FEW = 3  # of these more without a better criterion
 _ROUNDS = 5  # of a fit, and of missing samples in its noise, in turn
 _SETTLED = 0.02  # of the prediction errors: change of missing samples
-_ITERATIONS = 300  # of missing samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +188,7 @@ def ambient_fit(
     states on the way, O(T p^3 N^2) a step of those that are refined.  Missing samples are unknowns of the likelihood:
     a fit, and their values in its noise, in turn.
     """
-    missing = [_missing(channel.y) for channel in channels]
+    missing = [missing_in(channel.y) for channel in channels]
     counts = np.sum([each.sum(axis=1) for each in missing], axis=0)
 
     def fitted(outputs: Sequence[Array]) -> AmbientFit | None:
@@ -208,7 +206,7 @@ def ambient_fit(
         end = _refined(data.problem, close, criterion, reports, models.interrupted)
         return AmbientFit(end, data.scales, data.means, models.best, tuple(outputs), counts)
 
-    fit = fitted([_bridged(channel.y) for channel in channels])
+    fit = fitted([bridged(channel.y) for channel in channels])
     for _ in range(_ROUNDS if counts.any() else 0):
         if fit is None or fit.minimum.interrupted:
             break
@@ -225,22 +223,6 @@ def _are_settled(outputs: Sequence[Array], fit: AmbientFit, missing: Sequence[Ma
     moved = [((y - old) ** 2)[gaps] for y, old, gaps in zip(outputs, fit.outputs, missing, strict=True)]
     sizes = [np.broadcast_to(fit.variances[:, None], gaps.shape)[gaps] for gaps in missing]
     return bool(np.sum(np.concatenate(moved)) < _SETTLED**2 * np.sum(np.concatenate(sizes)))
-
-
-def _missing(y: Array) -> Mask:
-    """Samples that are missing of outputs (p, T) that were measured."""
-    unseen = np.isnan(y)
-    return np.asarray(unseen & ~unseen.all(axis=1, keepdims=True))
-
-
-def _bridged(y: Array) -> Array:
-    """Outputs (p, T) with lines from sample to sample where some are missing."""
-    gaps, t = _missing(y), np.arange(y.shape[1])
-    y = np.array(y, float) if gaps.any() else y
-    for row, gap in zip(y, gaps, strict=True):
-        if gap.any():
-            row[gap] = np.interp(t[gap], t[~gap], row[~gap])
-    return y
 
 
 def errors_beside(fit: AmbientFit, missing: Sequence[Mask]) -> list[Array]:
@@ -271,24 +253,8 @@ def _completed(fit: AmbientFit, missing: Sequence[Mask]) -> list[Array]:
             gaps, samples = missing[place][outputs], experiment.samples
             if not gaps.any():
                 continue
-            H = np.eye(len(outputs)) + noise.outputs_of_states(experiment.z) @ noise.K
-            inverse = np.linalg.inv(H @ evaluation.covariance @ H.conj().transpose(0, 2, 1))
-
-            def weighted(spectrum: ComplexArray, inverse: ComplexArray = inverse, gaps: Mask = gaps) -> Array:
-                whole = np.fft.irfft(np.einsum("bij,jb->ib", inverse, spectrum), gaps.shape[1])
-                return np.asarray(whole[gaps])
-
-            def gram(values: Array, gaps: Mask = gaps, weighted: Callable[..., Array] = weighted) -> Array:
-                y = np.zeros(gaps.shape)
-                y[gaps] = values
-                return weighted(np.fft.rfft(y))
-
-            size = int(gaps.sum())
-            motion = np.einsum("bij,jb->ib", H, errors) * np.sqrt(samples)
-            change, _ = cg(
-                LinearOperator((size, size), matvec=gram, dtype=float), -weighted(motion),
-                rtol=_SETTLED * 1e-2, maxiter=_ITERATIONS,
-            )  # fmt: skip
+            before = np.fft.irfft(errors, samples) * np.sqrt(samples)
+            change = noise.likeliest_change(before, evaluation.covariance, gaps)
             y = completed[place][outputs]
             y[gaps] += change * np.broadcast_to(scales, gaps.shape)[gaps]
             completed[place][outputs] = y
@@ -467,7 +433,7 @@ class _Standardised:
 
 def orders_of(channels: Sequence[Recording], most: int) -> list[tuple[ComplexArray, ComplexArray]]:
     """Poles (n,) and shapes (n, p) of models of 1, 2, .. modes, per unit time and in units of the outputs."""
-    data, step = _Standardised.of([_bridged(channel.y) for channel in channels]), channels[0].dt
+    data, step = _Standardised.of([bridged(channel.y) for channel in channels]), channels[0].dt
     orders = list[tuple[ComplexArray, ComplexArray]]()
     if data.longest < 2:
         return orders

@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 from scipy.special import chdtrc
 
 from ..._types import Array, ComplexArray, Mask
-from ..data.channels import Recording
+from ..data.channels import Recording, bridged
 from ..regression.free import FreeProjection
 from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
+from ..search.channel_rows import experiments_of
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import Criteria, FreeFit, Orders
 from ..search.predictor_states import PredictorStates, likeliest, predictors_of, signals_of
@@ -31,6 +33,7 @@ Start = tuple[Problem, InnovationsModel]  # the data, and a model without forces
 
 KINDS = ("correlated", "forces")
 AS_FITTED = Orders()  # poles are known
+MOST_MISSING = 0.1  # of the samples of an output: beyond that errors would be those of values that nobody measured
 _LEVEL = 1e-3  # probability that white noise of its own at each output looks as if there were more to it
 _SCREEN = 0.05  # of the score test that comes before, whose law holds for long records
 _HINT = 0.25  # of what the BIC asks for, which one step promises at least
@@ -49,6 +52,8 @@ _ROWS = 300  # of a covariance of the past of outputs and inputs
 _LAGS = 3  # of forces, at most
 _RATES = 0.05, 0.4  # of these, for each sample, that are tried
 _COLOURS = (0.1, 0.1), (0.1, 0.4), (0.5, 0.4)  # rates and parts that a minimisation begins with
+_ROUNDS = 5  # of a fit, and of missing samples in its noise, in turn
+_SETTLED = 0.02  # of the prediction errors: change of missing samples
 _CLOSE = 3  # models that are refined before the criterion chooses
 
 
@@ -131,8 +136,8 @@ def beside_forces(
     -------
     FreeFit
         Without `beside` where the test of probability 1e-3 does not object to noise of each output, or where the
-        record does not allow the likelihood: responses, missing samples, poles that do not decay, more unknowns than
-        600.
+        record does not allow the likelihood: responses, more than a tenth of the samples of an output missing, poles
+        that do not decay, more unknowns than 600.  Fewer missing samples have their likeliest values.
     """
     try:
         fitted = _beside_forces(free, kinds, certain, orders)
@@ -148,6 +153,7 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
     rows = _rows(free)
     if rows is None:
         return free
+    rows = _as_predicted(free, rows, orders)
     start, white = _in_white_noise(free, rows)
     if white is not None and np.linalg.eigvalsh(_correlations(white.covariance)).min() < _SINGULAR:
         return free
@@ -160,6 +166,7 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
         return free
+    best = _with_likeliest_samples(best)
     likelier, filters = (False, ()) if certain else _own_noise(best.evaluation, white)
     # where the number of modes is open, those that inputs drive beside forces may still be the likeliest
     kept = not likelier or (orders.are_open and best.evaluation.problem.coloured and not _doubtful(best))
@@ -331,7 +338,7 @@ def _beside(
     if not _is_feasible(rows, sections, len(free.scales)):
         return None
     projection = FreeProjection(rows, sections.p, fed, sections)
-    experiments = experiments_of(projection, free.channels)
+    experiments = in_bins(projection, free.channels)
     if experiments is None or projection.deficiency:
         return None
     problem = Problem(experiments, projection.excited_unknowns, fed=fed)
@@ -381,7 +388,7 @@ def _autoregressions(evaluation: LikelihoodEvaluation, charge: float) -> tuple[f
     products = np.zeros((evaluation.p, most + 1))
     for experiment, noise in zip(problem.experiments, evaluation.disturbances, strict=True):
         # without the constant, which slow noise can hardly be told from
-        power = np.abs(noise) ** 2 * (experiment.z != 1)
+        power = np.abs(noise) ** 2 * experiment.moving
         products += np.fft.irfft(power, experiment.samples)[:, : most + 1] * experiment.samples
     cost, filters = 0.0, list[Array]()
     for product in products:
@@ -457,8 +464,7 @@ def _without(best: Minimum, section: int) -> Minimum:
 def _driven_anew(best: Minimum, noise: NoiseSections) -> Minimum:
     """The minimum with other sections, what inputs drive of them as in white noise to begin with."""
     problem = best.evaluation.problem
-    rows = [part for experiment in problem.experiments for part in experiment.rows]
-    driven = FreeProjection(rows, noise.sections.p, problem.fed, noise.sections)
+    driven = FreeProjection(problem.rows, noise.sections.p, problem.fed, noise.sections)
     problem = Problem(problem.experiments, driven.excited_unknowns, problem.coloured, problem.fed)
     # the gains of others need not make a predictor
     noise = noise.that_forgets(best.evaluation.covariance)
@@ -471,12 +477,77 @@ def replace_colour(problem: Problem, coloured: bool) -> Problem:
 
 
 def _rows(free: FreeFit) -> Sequence[FreeRecord] | None:
-    """Rows of the data as they are; None where they do not allow the likelihood."""
+    """Rows of the data as they are; None where they do not allow the likelihood.
+
+    In place of few missing samples are predictions, with lines from residual to residual: something to begin with.
+    """
     if free.per_entry or free.rounding or free.interrupted or not free.states or free.method != "exact":
         return None
     projection = free.projection if free.measured is None else free.measured
     rows = [record for record in projection.experiments if isinstance(record, FreeRecord)]
-    return rows if projection.inputs and len(rows) == len(projection.experiments) else None
+    if not projection.inputs or len(rows) < len(projection.experiments):
+        return None
+    if any(np.mean(~record.observed) > MOST_MISSING for record in rows):
+        return None
+    if all(record.complete for record in rows):
+        return rows
+    filled = [
+        record.filled_with(predicted + bridged(np.where(record.observed, record.measured - predicted, np.nan)))
+        for record, predicted in zip(rows, projection.predictions(), strict=True)
+    ]
+    places = experiments_of(rows, free.channels)
+    return [part for place in np.unique(places) for part in _together(list(compress(filled, places == place)))]
+
+
+def _together(parts: Sequence[FreeRecord]) -> Sequence[FreeRecord]:
+    """Outputs of an experiment that were observed at different samples in one record, where they are as late."""
+    first = parts[0]
+    if any((part.delay, part.late, part.length) != (first.delay, first.late, first.length) for part in parts[1:]):
+        return parts
+    y, outputs = np.concatenate([part.measured for part in parts]), np.concatenate([part.outputs for part in parts])
+    missing = np.concatenate([part.filled for part in parts if part.filled is not None])
+    order = np.argsort(outputs)
+    return [replace(first, y=y[order], outputs=outputs[order], filled=missing[order], scale=None, whole_record=None)]
+
+
+def _with_likeliest_samples(best: Minimum) -> Minimum:
+    """The minimum with the likeliest values in place of missing samples, in its noise and for its model."""
+    for _ in range(_ROUNDS):
+        problem = _completed(best.evaluation)
+        if problem is None:
+            break
+        best = followed(problem, best.evaluation.point, steps=_STEPS)
+    return best
+
+
+def _as_predicted(free: FreeFit, rows: Sequence[FreeRecord], orders: Orders) -> Sequence[FreeRecord]:
+    """Rows with the values in place of missing samples that are likeliest by the predictors that are made from them."""
+    for _ in range(_ROUNDS if any(part.filled is not None for part in rows) else 0):
+        starts = _Predictors(free, rows, orders).starts
+        problem = _completed(starts[0][0].evaluated(starts[0][1])) if starts else None
+        if problem is None:
+            break
+        rows = problem.rows
+    return rows
+
+
+def _completed(evaluation: LikelihoodEvaluation) -> Problem | None:
+    """The data with the likeliest values in place of missing samples; None where they are hardly others."""
+    experiments, moved = list[Experiment](), 0.0
+    problem, noise, sizes = evaluation.problem, evaluation.point.noise, np.sqrt(np.diag(evaluation.covariance))
+    for experiment, errors in zip(problem.experiments, evaluation.errors, strict=True):
+        if experiment.missing is None:
+            experiments.append(experiment)
+            continue
+        change = np.zeros(experiment.missing.shape)
+        errors = np.fft.irfft(errors, experiment.samples) * np.sqrt(experiment.samples)
+        change[experiment.missing] = noise.likeliest_change(errors, evaluation.covariance, experiment.missing)
+        moved = max(moved, float(np.sum((change / sizes[:, None]) ** 2) / experiment.missing.sum()))
+        parts = [part.filled_with(part.measured + change[part.outputs]) for part in experiment.rows]
+        experiments.append(Experiment.of_rows(parts))
+    if not moved > _SETTLED**2:
+        return None
+    return Problem(experiments, problem.active, problem.coloured, problem.fed)
 
 
 def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> Start | None:
@@ -514,8 +585,8 @@ def _unknowns(rows: Sequence[FreeRecord], sections: Sections, outputs: int) -> i
     return len(sections.x) * (1 + 2 * outputs) + inputs * (2 * n + 1) * outputs + own
 
 
-def experiments_of(projection: FreeProjection, channels: Sequence[Recording]) -> list[Experiment] | None:
-    """Records in Fourier bins, each with all outputs; None where samples are missing, or outputs begin apart."""
+def in_bins(projection: FreeProjection, channels: Sequence[Recording]) -> list[Experiment] | None:
+    """Records in Fourier bins, each with all outputs; None where some were not measured, or outputs begin apart."""
     experiments, rows = [], list(projection.experiments)
     for channel in channels:
         parts = list[FreeRecord]()
@@ -613,8 +684,7 @@ def _in_noise(free: FreeFit, best: Minimum, alone: float, certain: bool) -> Free
     noise = FittedNoise.of(evaluation, free.scales)
     if np.linalg.eigvalsh(noise.correlations).min() < _SINGULAR:
         return free
-    known = free.projection if free.measured is None else free.measured
-    projection = FreeProjection(known.experiments, point.poles, evaluation.problem.fed, point.noise.sections)
+    projection = FreeProjection(evaluation.problem.rows, point.poles, evaluation.problem.fed, point.noise.sections)
     unknowns = projection.unknowns + noise.unknowns
     joint = JointProjection.of(projection, point.shared, Quadratic.of(best), unknowns)
     loglik = -0.5 * evaluation.cost - samples * float(np.sum(np.log(free.scales)))
@@ -638,7 +708,7 @@ def _finding(free: FreeFit, noise: FittedNoise, evaluation: LikelihoodEvaluation
     if noise.is_coloured:
         squares, noises = np.zeros((2, len(labels)))
         for experiment, disturbance in zip(evaluation.problem.experiments, evaluation.disturbances, strict=True):
-            moving = experiment.counts * (experiment.z != 1)
+            moving = experiment.counts * experiment.moving
             squares += np.abs(experiment.Y) ** 2 @ moving
             noises += np.abs(disturbance) ** 2 @ moving
         return Finding(Cause.FORCES, tuple(np.sqrt(noises / squares).tolist()), gain)

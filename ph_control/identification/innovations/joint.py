@@ -226,7 +226,7 @@ def _telling_bins(evaluation: LikelihoodEvaluation, plant: Indices, root: Array)
             states = noise.resolve(z, gains).transpose(2, 0, 1) @ L
             mean = np.sqrt(counts)[:, None, None] * (mean[:, :, plant] @ root)
             # at frequency zero an output has its constant, of which noise that has nothing there would tell all
-            telling = (np.sum(np.abs(mean) ** 2, axis=(1, 2)) > least) & (z != 1)
+            telling = (np.sum(np.abs(mean) ** 2, axis=(1, 2)) > least) & experiment.moving[bins]
             parts.append(tuple(each[telling] for each in (mean, whitening, states, seen)))
     return _Bins(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 

@@ -25,7 +25,7 @@ from ..._types import Array, ComplexArray, Indices, Mask
 from ..regression.free import input_places
 from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
-from .noise_sections import NoiseSections
+from .noise_sections import NoiseSections, bins_of
 
 _AT_A_TIME = 1 << 22  # numbers of a Jacobian
 _BINS = 1 << 13  # of an experiment that the information is made of
@@ -62,27 +62,39 @@ class Experiment:
     counts: Array
     Y: ComplexArray
     rows: tuple[FreeRecord, ...] = ()
+    missing: Mask | None = None
 
     @classmethod
-    def of_outputs(cls, y: Array, rows: Sequence[FreeRecord] = ()) -> Experiment:
-        """An experiment with outputs (p, T)."""
+    def of_outputs(cls, y: Array, rows: Sequence[FreeRecord] = (), missing: Mask | None = None) -> Experiment:
+        """An experiment with outputs (p, T), some of which are values in place of `missing` ones."""
         T = y.shape[1]
         bins = np.arange(T // 2 + 1)
         counts = np.where((bins == 0) | (2 * bins == T), 1.0, 2.0)
-        return cls(np.exp(2j * np.pi * bins / T), counts, np.fft.rfft(y) / np.sqrt(T), tuple(rows))
+        return cls(bins_of(T), counts, np.fft.rfft(y) / np.sqrt(T), tuple(rows), missing)
 
     @classmethod
     def of_rows(cls, rows: Sequence[FreeRecord]) -> Experiment:
         """An experiment with the outputs of some rows, all of the same samples."""
         y = np.empty((1 + max(int(part.outputs.max()) for part in rows), rows[0].length))
+        missing = np.zeros(y.shape, bool)
         for part in rows:
-            y[part.outputs] = part.measured
-        return cls.of_outputs(y, rows)
+            y[part.outputs], missing[part.outputs] = part.measured, False if part.filled is None else part.filled
+        return cls.of_outputs(y, rows, missing if missing.any() else None)
 
     @property
     def samples(self) -> int:
         """Number of samples of each output."""
         return round(self.counts.sum())
+
+    @property
+    def moving(self) -> Mask:
+        """Bins but for that of frequency zero."""
+        return np.arange(len(self.z)) > 0
+
+    @property
+    def measured(self) -> int:
+        """Number of samples that were measured, of the outputs on average."""
+        return self.samples if self.missing is None else self.samples - round(self.missing.sum() / len(self.missing))
 
     def thinned(self, stride: int) -> Experiment:
         """Every so many of the bins, each for all of them; of outputs alone."""
@@ -148,13 +160,17 @@ class Problem:
     ) -> None:  # fmt: skip
         self.experiments, self.active, self.coloured, self.fed = tuple(experiments), active, coloured, fed
         self.real_shapes = real_shapes
-        self.samples = sum(experiment.samples for experiment in experiments)
+        self.samples = sum(experiment.measured for experiment in experiments)
+
+    @property
+    def rows(self) -> list[FreeRecord]:
+        """Rows of all experiments."""
+        return [part for experiment in self.experiments for part in experiment.rows]
 
     @property
     def inputs(self) -> int:
         """Number of inputs."""
-        rows = [part for experiment in self.experiments for part in experiment.rows]
-        return max((int(part.acting.max(initial=-1)) + 1 for part in rows), default=0)
+        return max((int(part.acting.max(initial=-1)) + 1 for part in self.rows), default=0)
 
     def evaluated(self, point: InnovationsModel) -> LikelihoodEvaluation:
         """The prediction errors of a model."""

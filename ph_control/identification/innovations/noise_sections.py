@@ -15,13 +15,26 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
+from scipy.sparse.linalg import LinearOperator, cg
 
-from ..._types import Array, ComplexArray, Indices
+from ..._types import Array, ComplexArray, Indices, Mask
 from ..regression.sections import Sections
 
 _WELL = 1e6  # condition of the modes of a predictor
 _NEAR = 1e-4  # square of an angle below which a series has all digits
+_PRECISE, _ITERATIONS = 2e-4, 300  # of missing samples, relative, and steps of their equations
 _BESIDE = 1e-9  # of a bin to a pole that it falls on: the limit of what states and gain make of it has as many digits
+
+
+def bins_of(samples: int) -> ComplexArray:
+    """Where noise is evaluated for the Fourier bins of so many samples: on the unit circle, but for frequency zero.
+
+    There it is half a bin beside: what outputs have there is their constant, and noise of a predictor with a pole at
+    frequency zero, of which likelihoods often have their maximum, has nothing there.
+    """
+    z = np.exp(2j * np.pi * np.arange(samples // 2 + 1) / samples)
+    z[0] = 1 + np.pi / samples
+    return np.asarray(z)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +188,31 @@ class NoiseSections:
             return np.asarray(np.linalg.solve(H, y.T[:, :, None])[:, :, 0].T)
         poles, C, K = self._predictor
         return np.asarray(y - C @ ((K @ y) / (z - poles[:, None])))
+
+    def likeliest_change(self, errors: Array, covariance: Array, missing: Mask) -> Array:
+        """How outputs change where samples are `missing` (p, T), if these get the likeliest values beside the others.
+
+        Of outputs that leave prediction errors (p, T) with a covariance (p, p), in the order of the missing ones.
+        """
+        samples, sizes = missing.shape[1], np.sqrt(np.diag(covariance))
+        z = bins_of(samples)
+        H = (np.eye(len(self.C)) + self.outputs_of_states(z) @ self.K) / sizes[:, None]
+        inverse = np.linalg.inv(H @ covariance @ H.conj().transpose(0, 2, 1))
+
+        def weighted(spectrum: ComplexArray) -> Array:
+            whole = np.fft.irfft(np.einsum("bij,jb->ib", inverse, spectrum), samples)
+            return np.asarray(whole[missing])
+
+        def gram(values: Array) -> Array:
+            y = np.zeros(missing.shape)
+            y[missing] = values
+            return weighted(np.fft.rfft(y))
+
+        size = int(missing.sum())
+        equations = LinearOperator((size, size), matvec=gram, dtype=float)
+        disturbance = np.einsum("bij,jb->ib", H, np.fft.rfft(errors))
+        change = cg(equations, -weighted(disturbance), rtol=_PRECISE, maxiter=_ITERATIONS)[0]
+        return np.asarray(change * np.broadcast_to(sizes[:, None], missing.shape)[missing])
 
     def adjoint_errors(self, z: ComplexArray, e: ComplexArray) -> ComplexArray:
         """The adjoint `H^{-*} e` of values (p, bins)."""

@@ -26,7 +26,7 @@ from ..regression.free import FreeProjection, Lateness
 from ..regression.modal_regressors import SampledModes
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from ..search.channel_rows import Experiments
+from ..search.channel_rows import Experiments, experiments_of
 from ..search.fitted_modes import FreeFit
 from ..search.free_search import Records
 from ..search.path import FreePath
@@ -436,7 +436,8 @@ def errors_leave_traces(fit: FreeFit) -> bool:
     What an input will be answers to them in a closed loop.
     """
     records = [rows for rows in fit.projection.experiments if isinstance(rows, FreeRecord)]
-    inputs = (rows.u[: rows.inputs] for rows in records)
+    first = np.unique(experiments_of(records, fit.channels), return_index=True)[1].tolist()
+    inputs = (records[place].u[: records[place].inputs] for place in first)
     return _are_traces(list(zip(inputs, fit.beside.errors, strict=True)), first=0)
 
 

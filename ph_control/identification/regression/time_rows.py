@@ -108,6 +108,7 @@ class FreeRecord:
     unit: float = 1.0  # what inputs and outputs were divided by
     level: Array | None = None  # (T,) noise of each sample over that of the rows, by which these are divided
     dead_samples: Indices | None = None  # (m,) by which each input acts later
+    filled: Mask | None = None  # samples (q, T) that were not measured, of outputs with values in their place
 
     @cached_property
     def complete(self) -> bool:
@@ -146,6 +147,12 @@ class FreeRecord:
         """
         left_over = np.where(self.observed, self.measured - predicted, 0.0)
         return left_over if self.level is None else left_over / self.level
+
+    def filled_with(self, y: Array) -> FreeRecord:
+        """The record with outputs (q, T) in their scale at all samples, values in place of those that are missing."""
+        missing = np.broadcast_to(~self.observed, y.shape) if self.filled is None else self.filled
+        y = y if self.scale is None else y / self.scale[:, None]
+        return replace(self, y=y, observed=np.ones(self.length, bool), filled=missing)
 
     @property
     def measured(self) -> Array:

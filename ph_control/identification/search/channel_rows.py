@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..._options import Discretisation, InterpolationOrAuto
-from ..._types import Array, Mask
+from ..._types import Array, Indices, Mask
 from ...exceptions import StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
@@ -127,3 +128,10 @@ def is_short(rows: FreeRecord) -> bool:
     """Whether inputs act in a small part of a record, as hits do: their noise has no spectrum that lasts."""
     power = np.sum(rows.u**2, axis=0)
     return bool(np.sum(power) ** 2 < _LASTING * len(power) * np.sum(power**2))
+
+
+def experiments_of(rows: Sequence[Any], channels: Experiments) -> Indices:
+    """Which experiment each of some rows is from: experiments have rows for the outputs that they observe."""
+    ends = np.cumsum([int(channel.observed.any(axis=-1).sum()) for channel in channels])
+    starts = np.cumsum([0, *(len(record.outputs) for record in rows)])[:-1]
+    return np.searchsorted(ends, starts, side="right")
