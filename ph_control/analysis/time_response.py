@@ -413,7 +413,7 @@ def _each(
     known = [sys for sys, other in zip(systems, others, strict=True) if not other]
     t = _instants(known, timepts, samples) if known else instants_of(systems, timepts, samples)
     runs = [of_other if other else run for other in others]
-    responses = [each(sys, t.copy()) for each, sys in zip(runs, systems, strict=True)]
+    responses = [each(sys, t if len(systems) == 1 else t.copy()) for each, sys in zip(runs, systems, strict=True)]
     return TimeResponseList(responses) if listed is sysdata else responses[0]
 
 

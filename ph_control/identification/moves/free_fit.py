@@ -31,7 +31,7 @@ from ..search.path import FreePath, SearchOptions
 from ..uncertainty.residual_tests import is_white
 from .assumptions import Assumptions, Fit, Search, alone
 from .delays import are_heavy, may_be_late, of_late_lag, of_predicted_delay, on_time, predicted_lateness
-from .drifts import beside_drift, with_constants
+from .drifts import are_slow, beside_drift, with_constants
 from .late_inputs import of_late_inputs, with_dead_times
 from .prevailing_noise import InNoise, beside_forces_and_more, in_prevailing_noise
 from .response_noise import in_noise_of_the_gain, in_noise_of_the_window, with_first_errors, without_lines_in_error
@@ -217,10 +217,22 @@ def _in_white_noise_and_beside(
         late = of_predicted_delay(channels, search, shown, gain)
     fit = _or_likelier(late or search.along(path, channels), path, search, start)
     in_noise = _noise_beside(fit, path, search, start)
-    forced = fit if fit.interrupted else in_noise(fit)
+    forced = fit if fit.interrupted else _beside_noise(fit, in_noise, search)
     if begun is None or forced.interrupted or begun.forced.criteria.bic >= min(fit.criteria.bic, forced.criteria.bic):
         return fit, forced, in_noise
     return begun.fit, begun.forced, in_noise
+
+
+def _beside_noise(fit: FreeFit, in_noise: InNoise, search: Search) -> FreeFit:
+    """Return the fit in noise of another kind, unless drifts of outputs in place of slow poles leave white noise."""
+    if search.assumptions.drifting and are_slow(fit).any():
+        try:
+            drifting = beside_drift(fit, search.anew(fit))
+        except KeyboardInterrupt:
+            return replace(fit, interrupted=True)
+        if drifting is not fit and drifting.leaves_white_noise:
+            return fit
+    return in_noise(fit)
 
 
 def _or_in_own_noise(fit: FreeFit, forced: FreeFit, search: Search) -> tuple[FreeFit, FreeFit, FreeFit | None]:
