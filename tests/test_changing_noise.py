@@ -110,6 +110,17 @@ def test_noise_that_looks_correlated_may_change():
     assert np.all(result.stderr["natural_frequencies"] < 0.5 * correlated.stderr["natural_frequencies"])
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_last_loud_sample_is_no_outlier(sign):
+    """Which one output alone shows: had it been left outside, nothing would be told of the noise."""
+    u, y = recorded(0, [10.0, 10.0])
+    clean = velocities(u)
+    y[:, 699] = clean[:, 699] + np.array([25.0 * sign, 0.1]) * 0.03 * clean.std(axis=1)
+    y[:, 698] = clean[:, 698] + np.array([0.2, 0.1]) * 0.03 * clean.std(axis=1)
+    (finding,) = changes_in(phc.pem((u, y), 2, dt=STEP, structure="free"))
+    assert abs(finding.values[2] - 400) < 5 and abs(finding.values[4] - 700) < 5
+
+
 @pytest.mark.slow
 def test_outputs_change_together_or_alone():
     together = changes_in(phc.pem(recorded(3, [8.0, 8.0]), 2, dt=STEP))

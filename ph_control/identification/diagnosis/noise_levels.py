@@ -32,6 +32,7 @@ _WORTH = 1.4  # ratio of levels below which nothing is gained by telling them ap
 _PAST = 30  # samples of it that noise may depend on
 _EACH = 20  # samples for each of them, at least
 _CLIPPED = 4.0  # times the level of a span: what is farther out does not count more
+_FAR_OUT = 8.0  # where a border is looked for: a loud sample beyond it would be taken for an outlier
 _DISTINCT = 1e-9  # of the range of an output: values that are nearer are the same digit
 _MEDIAN = 0.6745  # of the absolute value of a normal variable
 _LOG_VARIANCE = np.pi**2 / 2  # of the logarithm of its square
@@ -193,7 +194,7 @@ def _to_samples(noise: Array, spans: Spans, reach: int) -> Spans:
         if high <= low:
             continue
         before, after = (
-            np.nansum(0.5 * np.minimum(noise[:, low:high] / size, _CLIPPED) ** 2 + np.log(size), axis=0)
+            np.nansum(0.5 * np.minimum(np.abs(noise[:, low:high]) / size, _FAR_OUT) ** 2 + np.log(size), axis=0)
             for size in sizes
         )
         steps = np.concatenate([[0.0], np.cumsum(before - after)])
