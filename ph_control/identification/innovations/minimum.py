@@ -70,7 +70,7 @@ class Experiment:
         T = y.shape[1]
         bins = np.arange(T // 2 + 1)
         counts = np.where((bins == 0) | (2 * bins == T), 1.0, 2.0)
-        return cls(bins_of(T), counts, np.fft.rfft(y) / np.sqrt(T), tuple(rows), missing)
+        return cls(bins_of(T, beside=bool(rows)), counts, np.fft.rfft(y) / np.sqrt(T), tuple(rows), missing)
 
     @classmethod
     def of_rows(cls, rows: Sequence[FreeRecord]) -> Experiment:

@@ -26,14 +26,15 @@ _PRECISE, _ITERATIONS = 2e-4, 300  # of missing samples, relative, and steps of 
 _BESIDE = 1e-9  # of a bin to a pole that it falls on: the limit of what states and gain make of it has as many digits
 
 
-def bins_of(samples: int) -> ComplexArray:
-    """Where noise is evaluated for the Fourier bins of so many samples: on the unit circle, but for frequency zero.
+def bins_of(samples: int, *, beside: bool = True) -> ComplexArray:
+    """Where noise is evaluated for the Fourier bins of so many samples: on the unit circle.
 
-    There it is half a bin beside: what outputs have there is their constant, and noise of a predictor with a pole at
-    frequency zero, of which likelihoods often have their maximum, has nothing there.
+    At frequency zero it is half a bin `beside` where inputs act: noise of a predictor with a pole there, with which
+    likelihoods often have their maximum, would be nothing, and what the plant does there known without error.
     """
     z = np.exp(2j * np.pi * np.arange(samples // 2 + 1) / samples)
-    z[0] = 1 + np.pi / samples
+    if beside:
+        z[0] = 1 + np.pi / samples
     return np.asarray(z)
 
 
