@@ -225,7 +225,7 @@ def _in_white_noise_and_beside(
 
 def _beside_noise(fit: FreeFit, in_noise: InNoise, search: Search) -> FreeFit:
     """Return the fit in noise of another kind, unless drifts of outputs in place of slow poles leave white noise."""
-    if search.assumptions.drifting and are_slow(fit).any():
+    if search.assumptions.drifting and not fit.per_entry and are_slow(fit).any():
         try:
             drifting = beside_drift(fit, search.anew(fit))
         except KeyboardInterrupt:
