@@ -201,13 +201,15 @@ def _in_white_noise_and_beside(
 ) -> tuple[FreeFit, FreeFit, InNoise]:
     """Return the fit in white noise, that in the likeliest other noise, and what makes one of the other.
 
-    Both begin with the path through modes, or with what predicts best, as is likelier.
+    Both begin with the path through modes, or with what predicts best, as is likelier.  Of a number of modes that is
+    given what predicts is only looked at where these leave more than white noise.
     """
     late, begun = None, None
     if start is None:
         several = search.assumptions.inputs_may_be_late(channels)
         late = of_late_inputs(channels, search) if several else of_late_lag(channels, search)
-    if start is None and late is None:
+    known = None if search.automatic or late is not None or start is not None else search.along(path, channels)
+    if start is None and late is None and not (known is not None and (known.interrupted or known.leaves_white_noise)):
         shown, gain = predicted_lateness(channels, search)
         # outputs far from an input seem late, though none of the modes is
         common = replace(shown, outputs=np.full_like(shown.outputs, shown.outputs.min()))
@@ -215,7 +217,7 @@ def _in_white_noise_and_beside(
         if begun is not None and begun.stands:
             return begun.fit, begun.forced, _noise_beside(begun.fit, path, search, start)
         late = of_predicted_delay(channels, search, shown, gain)
-    fit = _or_likelier(late or search.along(path, channels), path, search, start)
+    fit = _or_likelier(late or known or search.along(path, channels), path, search, start)
     in_noise = _noise_beside(fit, path, search, start)
     forced = fit if fit.interrupted else _beside_noise(fit, in_noise, search)
     if begun is None or forced.interrupted or begun.forced.criteria.bic >= min(fit.criteria.bic, forced.criteria.bic):
