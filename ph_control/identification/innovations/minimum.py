@@ -70,7 +70,7 @@ class Experiment:
         T = y.shape[1]
         bins = np.arange(T // 2 + 1)
         counts = np.where((bins == 0) | (2 * bins == T), 1.0, 2.0)
-        return cls(bins_of(T, beside=bool(rows)), counts, np.fft.rfft(y) / np.sqrt(T), tuple(rows), missing)
+        return cls(bins_of(T, beside=False), counts, np.fft.rfft(y) / np.sqrt(T), tuple(rows), missing)
 
     @classmethod
     def of_rows(cls, rows: Sequence[FreeRecord]) -> Experiment:
@@ -611,9 +611,21 @@ class LikelihoodEvaluation:
         null = np.linalg.qr(null)[0] if null.shape[1] else null
         return gram / np.outer(lengths, lengths) + null @ null.T, gradient / lengths, lengths
 
+    @property
+    def _beside_zero(self) -> LikelihoodEvaluation:
+        problem = self.problem
+        if not problem.rows:
+            return self
+        experiments = [replace(each, z=bins_of(each.samples)) for each in problem.experiments]
+        return Problem(experiments, problem.active, problem.coloured, problem.fed).evaluated(self.point)
+
     def information_inverse(self) -> Array:
-        """Covariance of all numbers: of what does not depend on the bases of the states."""
-        gram, _, lengths = self.scaled_normal()
+        """Covariance of all numbers: of what does not depend on the bases of the states.
+
+        Beside inputs noise is evaluated half a bin beside frequency zero, where it may be nothing at the maximum: what
+        one bin told without error would hide all other.
+        """
+        gram, _, lengths = self._beside_zero.scaled_normal()
         null = self.bases * lengths[:, None]
         null = np.linalg.qr(null)[0] if null.shape[1] else null
         inverse = np.linalg.pinv(gram, rcond=len(gram) * EPS * 100, hermitian=True) - null @ null.T
