@@ -613,8 +613,9 @@ class LikelihoodEvaluation:
 
     @property
     def _beside_zero(self) -> LikelihoodEvaluation:
+        """The same with noise evaluated half a bin beside frequency zero, where inputs act and noise is coloured."""
         problem = self.problem
-        if not problem.rows:
+        if not (problem.rows and problem.coloured):
             return self
         experiments = [replace(each, z=bins_of(each.samples)) for each in problem.experiments]
         return Problem(experiments, problem.active, problem.coloured, problem.fed).evaluated(self.point)

@@ -208,8 +208,9 @@ def _in_white_noise_and_beside(
     if start is None:
         several = search.assumptions.inputs_may_be_late(channels)
         late = of_late_inputs(channels, search) if several else of_late_lag(channels, search)
-    known = None if search.automatic or late is not None or start is not None else search.along(path, channels)
-    if start is None and late is None and not (known is not None and (known.interrupted or known.leaves_white_noise)):
+    is_open = start is None and late is None
+    known = search.along(path, channels) if is_open and not search.automatic else None
+    if is_open and (known is None or not (known.interrupted or known.leaves_white_noise)):
         shown, gain = predicted_lateness(channels, search)
         # outputs far from an input seem late, though none of the modes is
         common = replace(shown, outputs=np.full_like(shown.outputs, shown.outputs.min()))
