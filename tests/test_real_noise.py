@@ -115,6 +115,22 @@ def test_coloured_residuals_are_told_with_their_band_for_the_outputs_that_have_t
     assert f"between 0 and {1e3 * high / (2 * np.pi):.4g} Hz" in phc.pem(data, 2, structure="free").message
 
 
+@pytest.mark.parametrize("seed", [1, 43])
+def test_residuals_of_a_lag_that_is_missing_are_whitened_only_where_that_is_likelier(seed):
+    rng = np.random.default_rng(seed)
+    u, y = lfilter([1], [1, -0.9], rng.standard_normal(450)), np.zeros((2, 450))
+    for rate in (0.48, 0.32):
+        z = np.exp(-0.1 * rate)
+        y += rng.standard_normal((2, 1)) * lfilter([0, 1 - z], [1, -z], u)
+    pole = 0.64 * (-0.0048 + 1j)
+    z = np.exp(0.1 * pole)
+    y += rng.standard_normal((2, 1)) * 2 * lfilter([0, 1], [1, -z], (z - 1) / pole * 0.32 * u.astype(complex)).real
+    u, y = u[300:], y[:, 300:]
+    y = y + 0.0015 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    result, white = (phc.pem((u, y), dt=0.1, noise=noise) for noise in ("auto", "white"))
+    assert result.bic < white.bic + 8
+
+
 def test_white_residuals_are_told_as_nothing():
     for seed in range(2):
         result = phc.pem(recording(2, 2, 1, "white", seed), 2, dt=1.0, structure="free")
@@ -160,8 +176,10 @@ def test_ambient_excitation_is_told_from_a_free_decay():
     ambient = phc.pem((None, y), 2, dt=1.0)
     assert ambient.is_ambient and "Forces that nobody measured" in ambient.message
     assert ambient.outcome.name == "CONSISTENT"
-    # with samples missing it is taken as a decay, and the doubt is told
     y[0, 7] = np.nan
+    assert phc.pem((None, y), 2, dt=1.0).is_ambient
+    # with many samples missing it is taken as a decay, and the doubt is told
+    y[0, ::5] = np.nan
     doubtful = phc.pem((None, y), 2, dt=1.0)
     assert "such as wind or traffic" in doubtful.message and doubtful.outcome.name == "DOUBTFUL"
     t, noise = np.arange(600), 0.01 * np.random.default_rng(0).standard_normal((2, 600))
