@@ -7,7 +7,8 @@
 `control` fits plants with real poles, alone and beside modes, to 2000 samples with white noise of 3 %, by the default
 call, and counts right orders, squared errors of the poles over their variances, and how often 95 % intervals cover.
 `foretell` fits the first half of records of process plants, whose noise is coloured and as large as they are, by the
-default call, and foretells the second half; beside it stands the best of some subspace methods at its best order.
+default call, and foretells the second half; beside it stand the plant itself, with the mean of the noise in the first
+half, and the best of some subspace methods at the order that is best there.
 `predict` predicts each output of the second half one step ahead, by the Kalman filters of the fits and of subspace
 methods at the order that is best there; beside it stand the p-values of white errors.
 """
@@ -209,13 +210,17 @@ def loaded(rng: np.random.Generator, samples: int, a: float) -> Array:
     return np.asarray(np.sqrt(1 - a**2) * lfilter([1.0], [1.0, -a], white))
 
 
-def _heater(rng: np.random.Generator, a: float, samples: int = 2400) -> tuple[Array, Array]:
+Simulated = tuple[Array, Array, Array]  # inputs (m, T), outputs (p, T), and these without noise and load
+
+
+def _heater(rng: np.random.Generator, a: float, samples: int = 2400) -> Simulated:
     u = levels(rng, 1, samples, 25)
     x = chained(u[0], (20.0, 5.0), 4)
-    return u, (20 + x + np.std(x) * loaded(rng, samples, a) + 0.02 * rng.standard_normal(samples))[None]
+    load = np.std(x) * loaded(rng, samples, a) + 0.02 * rng.standard_normal(samples)
+    return u, (20 + x + load)[None], (20 + x)[None]
 
 
-def _loop(rng: np.random.Generator, samples: int = 2000) -> tuple[Array, Array]:
+def _loop(rng: np.random.Generator, samples: int = 2000) -> Simulated:
     """A flow under a PI controller, with coloured load noise and a reference that steps."""
     reference, noise = levels(rng, 1, samples, 60)[0], 0.4 * loaded(rng, samples, 0.9)
     a, b, integral = np.exp(-1 / 8.0), np.exp(-1 / 3.0), 0.0
@@ -227,35 +232,35 @@ def _loop(rng: np.random.Generator, samples: int = 2000) -> tuple[Array, Array]:
         u[k] = 0.6 * error + integral + 0.3 * rng.standard_normal()
         late = u[k - 1] if k else 0.0  # a dead time of one sample beside the hold
         x = np.array([a * x[0] + (1 - a) * late, b * x[1] + (1 - b) * x[0]])
-    return u[None], y[None]
+    return u[None], y[None], (y - noise)[None]
 
 
-def _five_inputs(rng: np.random.Generator, samples: int = 2500) -> tuple[Array, Array]:
+def _five_inputs(rng: np.random.Generator, samples: int = 2500) -> Simulated:
     u = levels(rng, 5, samples, 30)
     lags, delays, gains = (30.0, 12.0, 30.0, 6.0, 12.0), (0, 3, 7, 1, 12), (1.0, -0.6, 0.5, 0.8, -0.4)
     x = sum(g * chained(one, (lag,), d) for g, one, lag, d in zip(gains, u, lags, delays, strict=True))
-    return u, (5 + x + 0.5 * np.std(x) * loaded(rng, samples, 0.95))[None]
+    return u, (5 + x + 0.5 * np.std(x) * loaded(rng, samples, 0.95))[None], np.reshape(5 + x, (1, -1))
 
 
-def _column(rng: np.random.Generator, samples: int = 2500) -> tuple[Array, Array]:
+def _column(rng: np.random.Generator, samples: int = 2500) -> Simulated:
     """A distillation column: 3 outputs and 2 inputs, lags that all share."""
     u = levels(rng, 2, samples, 40)
     slow, fast = (np.array([chained(one, (lag,)) for one in u]) for lag in (40.0, 8.0))
     x = np.array([[0.9, -0.8], [0.6, -0.7], [0.3, 0.5]]) @ slow + np.array([[0.1, 0.1], [0.4, 0.2], [-0.3, 0.4]]) @ fast
     noise = np.array([loaded(rng, samples, a) for a in (0.95, 0.9, 0.8)])
-    return u, x + 0.4 * np.std(x, axis=1, keepdims=True) * noise
+    return u, x + 0.4 * np.std(x, axis=1, keepdims=True) * noise, x
 
 
-def _thermal(rng: np.random.Generator, samples: int = 3000) -> tuple[Array, Array]:
+def _thermal(rng: np.random.Generator, samples: int = 3000) -> Simulated:
     """A wall between two temperatures, with one of the surroundings that wanders."""
     u = levels(rng, 2, samples, 50)
     x = chained(u[0], (150.0,)) + 0.5 * chained(u[1], (60.0, 10.0))
     wandering = np.cumsum(rng.standard_normal(samples))
     wandering *= 0.3 * np.std(x) / np.std(wandering)
-    return u, (x + wandering + 0.02 * np.std(x) * rng.standard_normal(samples))[None]
+    return u, (x + wandering + 0.02 * np.std(x) * rng.standard_normal(samples))[None], x[None]
 
 
-def _servo(rng: np.random.Generator, samples: int = 2000) -> tuple[Array, Array]:
+def _servo(rng: np.random.Generator, samples: int = 2000) -> Simulated:
     """An arm with friction: the speed of a motor, a dry friction that opposes it, and a mode of the shaft."""
     u = levels(rng, 1, samples, 20)[0] + 0.3 * rng.standard_normal(samples)
     speed, y = 0.0, np.zeros(samples)
@@ -264,10 +269,10 @@ def _servo(rng: np.random.Generator, samples: int = 2000) -> tuple[Array, Array]
         speed = 0.95 * speed + 0.05 * (u[k] - 0.25 * np.tanh(20 * speed))
     shaft = held(np.array([-0.04 + 0.9j]), np.array([[[0.02j]]]), u[None], 1.0)[0]
     noise = 0.1 * np.std(y) * loaded(rng, samples, 0.97) + 0.01 * rng.standard_normal(samples)
-    return u[None], (y + shaft + noise)[None]
+    return u[None], (y + shaft + noise)[None], (y + shaft)[None]
 
 
-def _wing(rng: np.random.Generator, share: float, samples: int = 1024) -> tuple[Array, Array]:
+def _wing(rng: np.random.Generator, share: float, samples: int = 1024) -> Simulated:
     """Two modes of a wing under a shaker, and turbulence whose response is `share` times as large."""
     b, a = butter(4, [0.1, 0.35], "band")
     u = lfilter(b, a, rng.standard_normal((1, samples + 200)))[:, 200:]
@@ -277,10 +282,11 @@ def _wing(rng: np.random.Generator, share: float, samples: int = 1024) -> tuple[
         held(poles, np.reshape(residues, (2, 1, 1)), signal, 1.0)
         for residues, signal in (([0.3 - 0.1j, -0.2 + 0.1j], u), ([0.1 + 0.2j, 0.4j], turbulence))
     )
-    return u, y / np.std(y) + share * moved / np.std(moved) + 0.03 * rng.standard_normal((1, samples))
+    x = y / np.std(y)
+    return u, x + share * moved / np.std(moved) + 0.03 * rng.standard_normal((1, samples)), x
 
 
-PROCESS: dict[str, Callable[[np.random.Generator], tuple[Array, Array]]] = {
+PROCESS: dict[str, Callable[[np.random.Generator], Simulated]] = {
     "heater, load 0.95": lambda rng: _heater(rng, 0.95),
     "heater, load 0.99": lambda rng: _heater(rng, 0.99),
     "flow in closed loop": _loop,
@@ -362,11 +368,13 @@ def peers(u: Array, y: Array) -> dict[str, Callable[[Array, Array], Array]]:
 
 def foretell_table(names: Sequence[str], seeds: int, with_peers: bool) -> None:
     """Print a line for each record."""
-    print(f"{'record':26} {'seed':>4} {'states':>6} {'fit 1':>6} {'fit 2':>6} {'s':>6}  {'outcome':13} best of others")
+    print(f"{'record':26} {'seed':>4} {'states':>6} {'fit 1':>6} {'fit 2':>6} {'plant':>6} {'s':>6}  {'outcome':13} best of others")
     for name in names:
         for seed in range(seeds):
-            u, y = PROCESS[name](np.random.default_rng([seed, 7]))
+            u, y, x = PROCESS[name](np.random.default_rng([seed, 7]))
             half = u.shape[1] // 2
+            level = (y - x)[:, :half].mean(axis=1, keepdims=True)
+            plant = percent(y[:, half:], x[:, half:] + level)
             start = process_time()
             result: Any = phc.pem(squeezed(u[:, :half], y[:, :half]), dt=1.0)
             seconds = process_time() - start
@@ -383,7 +391,7 @@ def foretell_table(names: Sequence[str], seeds: int, with_peers: bool) -> None:
                 best = f"{fits[top]:6.1f} {top}"
             delays = [one.values for one in result.findings if one.cause.name == "DELAY"]
             print(
-                f"{name:26} {seed:4d} {states:6d} {result.fit_percent:6.1f} {fit:6.1f} {seconds:6.2f}  "
+                f"{name:26} {seed:4d} {states:6d} {result.fit_percent:6.1f} {fit:6.1f} {plant:6.1f} {seconds:6.2f}  "
                 f"{result.outcome.name:13} {best} {delays or ''}",
                 flush=True,
             )
@@ -392,13 +400,13 @@ def foretell_table(names: Sequence[str], seeds: int, with_peers: bool) -> None:
 # --- one step ahead --------------------------------------------------------------------------------------------------
 
 
-def _modes(rng: np.random.Generator, samples: int = 3000) -> tuple[Array, Array]:
+def _modes(rng: np.random.Generator, samples: int = 3000) -> Simulated:
     """Two modes at two sensors under noise that is 0.9 times what it was a sample before."""
     u = rng.standard_normal((1, samples))
     poles = np.array([-0.006 + 0.4j, -0.01 + 1.1j])
     x = held(poles, np.array([[[0.02], [0.01j]], [[0.03j], [0.02]]]), u, 1.0)
     noise = np.array([loaded(rng, samples, 0.9) for _ in x])
-    return u, x + 0.5 * np.std(x, axis=1, keepdims=True) * noise
+    return u, x + 0.5 * np.std(x, axis=1, keepdims=True) * noise, x
 
 
 PREDICTED = {**PROCESS, "modes, noise 0.9": _modes}
@@ -475,7 +483,7 @@ def predict_table(names: Sequence[str], seeds: int, with_peers: bool) -> None:
     print(f"{'record':26} {'seed':>4} {'simulated':>9} {'one step':>8} {'white 1':>8} {'white 2':>8}  best of others")
     for name in names:
         for seed in range(seeds):
-            u, y = PREDICTED[name](np.random.default_rng([seed, 7]))
+            u, y, _ = PREDICTED[name](np.random.default_rng([seed, 7]))
             half = u.shape[1] // 2
             first, second = slice(None, half), slice(half, None)
             result: Any = phc.pem(squeezed(u[:, first], y[:, first]), dt=1.0)
