@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import ph_control as phc
 
@@ -67,3 +68,27 @@ def test_a_random_force_is_no_hammer():
     y = phc.forced_response(PLANT, TIME, force, intersample="zoh").outputs
     result = phc.pem((force, y + 0.05 * y.std() * rng.standard_normal(SAMPLES)), dt=STEP)
     assert "HAMMER_NOISE" not in names(result)
+
+
+def roving(seed, *, positions, samples, weak):
+    """Recordings of a hammer at one position after another: two modes at two sensors, the second `weak`."""
+    rng = np.random.default_rng(seed)
+    p = np.array([-0.004 + 0.5j, -0.02 + 1.9j])
+    drive = rng.standard_normal((2, positions))
+    shapes = np.array([1.0, weak])[:, None] * rng.choice([-1, 1], (2, 2))
+    recordings = []
+    for k in range(positions):
+        u = np.zeros((positions, samples))
+        u[k, 5:8] = [0.5, 1.0, 0.5]
+        motion = [lfilter([0, np.expm1(pole) / pole], [1, -np.exp(pole)], u[k] + 0j).real for pole in p]
+        y = (shapes * drive[:, k, None]).T @ np.array(motion)
+        recordings.append((u, y + 0.01 * rng.standard_normal(y.shape)))
+    return recordings
+
+
+@pytest.mark.variants
+@pytest.mark.parametrize(("positions", "samples", "weak", "seed"), [(12, 400, 0.015, 2), (8, 400, 0.02, 1)])
+def test_a_mode_that_each_position_shows_a_little_is_found(positions, samples, weak, seed):
+    data = roving(seed, positions=positions, samples=samples, weak=weak)
+    result = phc.pem(data, 2, dt=1.0, structure="free", intersample="zoh", noise="white", delay=0)
+    assert result.natural_frequencies == pytest.approx([0.5, 1.9], rel=0.02)

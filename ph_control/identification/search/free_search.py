@@ -27,6 +27,7 @@ from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from .whitening import autoregression, correlations
 
+_WIDTHS = 4  # half-widths of a mode that the half of its window has, at least
 _ROUNDS = 3  # of the local problem, weighted with the pole found
 _LEAST = 3  # bins: half-width of the narrowest window
 _EVERYWHERE = 1 << 12  # bins up to which all are centres of windows, and rows; above, those where most is left
@@ -341,15 +342,21 @@ class Records(FreeSearch):
         return sums
 
     def candidates(self, model: FreeModel, least: float = 0.0) -> tuple[ComplexArray, Array]:
-        """Of windows of all widths, the poles that explain most."""
+        """Of windows of all widths, the poles that explain most, of all experiments together."""
         joined: list[tuple[ChannelSpectra, list[ComplexArray]]] = []
         for spectrum, part in zip(self.spectra, model.residuals, strict=True):
             if joined and joined[-1][0].record.u is spectrum.record.u:  # outputs of one experiment
                 joined[-1][1].append(part)
             else:
                 joined.append((spectrum, [part]))
-        candidates = [Channels.of(spectrum).modes(np.concatenate(parts), least) for spectrum, parts in joined]
-        return strongest(candidates, self.region.bin)
+        experiments = [
+            (Channels.of(spectrum), np.concatenate(parts) if parts[1:] else parts[0]) for spectrum, parts in joined
+        ]
+        shown = [channels.modes(residuals, least / len(experiments)) for channels, residuals in experiments]
+        if len(experiments) > 1:
+            p, _ = _joined([strongest([each], self.region.bin) for each in shown])
+            shown = [(p, sum(channels.gains(residuals, p) for channels, residuals in experiments))]
+        return strongest(shown, self.region.bin)
 
 
 def strongest(candidates: Sequence[tuple[ComplexArray, Array]], width: float) -> tuple[ComplexArray, Array]:
@@ -407,17 +414,44 @@ class Channels:
         """Last bin below the Nyquist frequency."""
         return (self.length - 1) // 2
 
-    def _local(self, residuals: ComplexArray, half: int, centres: Indices) -> tuple[ComplexArray, Array]:
-        """One mode in each window, frequencies in bins from its centre."""
-        T = self.length
-        turn = np.expm1(2j * np.pi / T * np.arange(-half, half + 1))
+    def gains(self, residuals: ComplexArray, p: ComplexArray) -> Array:
+        """How much each of some modes (k,) explains by itself of what is left, in a window as wide as it is."""
+        bins = self.hold.h * self.length / (2 * np.pi)
+        place, width = p.imag * bins, np.abs(np.nan_to_num(p.real)) * bins
+        gains = np.zeros(len(p))
+        most = (self._last - 1) // 2
+        if most < _LEAST:
+            nearest = np.clip(np.rint(place).astype(int), 1, self._last)
+            return np.asarray(2.0 / self.length * np.sum(np.abs(residuals[:, nearest]) ** 2, axis=0))
+        halves = np.array([min(half, most) for half in TUNING.widths_of_peaks])
+        halves = halves[np.minimum(np.searchsorted(halves, _WIDTHS * width), len(halves) - 1)]
+        for half in np.unique(halves).tolist():
+            these = np.flatnonzero(halves == half)
+            centres = np.clip(np.rint(place[these]).astype(int), half + 1, self._last - half)
+            E, inputs, s = self._windows(residuals, half, centres)
+            turned = np.exp(-1j * np.pi * 2 / self.length * centres + (1j * p.imag - width / bins)[these] * self.hold.h)
+            weight = 1.0 / (s - (turned - 1.0)[:, None] * (self.length / (2 * np.pi)))
+            products, solved = _least_squares(inputs * weight[:, None], E)
+            gains[these] = np.sum(products.conj() * solved, axis=(1, 2)).real * (2.0 / self.length)
+        return gains
+
+    def _windows(
+        self, residuals: ComplexArray, half: int, centres: Indices
+    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:  # fmt: skip
+        """Outputs, inputs and ends (windows, .., K) of windows about bins, and frequencies (1, K) from these."""
+        turn = np.expm1(2j * np.pi / self.length * np.arange(-half, half + 1))
         place = centres[:, None] + np.arange(-half, half + 1)
         E, U = (np.ascontiguousarray(np.moveaxis(rows[:, place], 0, 1)) for rows in (residuals, self.U))
         # a smooth input is told from the ends by what it is beside a constant
         size = np.linalg.norm(U, axis=2, keepdims=True)
         ends = np.broadcast_to(1.0 + turn, (len(place), 1, turn.size))
         inputs = np.concatenate([ends, U / np.where(size > 0, size, 1.0)], axis=1)
-        pole, gain = local_modes(E, inputs, turn[None] * (T / (2 * np.pi)), np.full(len(place), float(half)))
+        return E, inputs, turn[None] * (self.length / (2 * np.pi))
+
+    def _local(self, residuals: ComplexArray, half: int, centres: Indices) -> tuple[ComplexArray, Array]:
+        """One mode in each window, frequencies in bins from its centre."""
+        T = self.length
+        pole, gain = local_modes(*self._windows(residuals, half, centres), np.full(len(centres), float(half)))
         p = self.hold.pole(np.exp(2j * np.pi / T * centres) * (1.0 + pole * (2 * np.pi / T)))
         kept = (np.abs(pole.imag) < half) & (p.imag > 0) & (p.imag < self.ceiling)
         return p[kept], gain[kept] * (2.0 / T)
