@@ -92,3 +92,11 @@ def test_a_mode_that_each_position_shows_a_little_is_found(positions, samples, w
     data = roving(seed, positions=positions, samples=samples, weak=weak)
     result = phc.pem(data, 2, dt=1.0, structure="free", intersample="zoh", noise="white", delay=0)
     assert result.natural_frequencies == pytest.approx([0.5, 1.9], rel=0.02)
+
+
+def test_residues_of_all_positions_are_counted():
+    data = roving(0, positions=3, samples=200, weak=0.3)
+    options = {"structure": "free", "intersample": "zoh", "noise": "white", "delay": 0, "initial_state": "zero"}
+    result = phc.pem(data, 2, dt=1.0, **options)
+    poles, residues, variances = 4, 3 * 2 * 4, 2
+    assert result.unknowns == poles + residues + variances + np.count_nonzero(result.feedthrough)

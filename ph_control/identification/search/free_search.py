@@ -112,10 +112,9 @@ class FreeSearch:
     def unknowns(self, modes: int, real_poles: int = 0) -> int:
         """Parameters of a model: poles, residues and what is fed through of each output, nuisance parameters."""
         n, states = modes + real_poles, 2 * modes + real_poles
-        outputs = np.unique(np.concatenate([rows.outputs for rows in self.data]))
         own = sum((rows.own_unknowns(n) - real_poles * rows.moving) * len(rows.outputs) for rows in self.data)
-        driven, fed = max(rows.inputs for rows in self.data), any(rows.through for rows in self.data)
-        return states + len(outputs) * driven * (states + fed) + own
+        entries = {(output, k) for rows in self.data for output in rows.outputs.tolist() for k in rows.acting.tolist()}
+        return states + len(entries) * (states + any(rows.through for rows in self.data)) + own
 
     def unknowns_of(self, p: ComplexArray) -> int:
         """Those of a model with these poles."""
