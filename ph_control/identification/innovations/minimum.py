@@ -27,7 +27,7 @@ from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
 from .noise_sections import NoiseSections, bins_of
 
-_AT_A_TIME = 1 << 22  # numbers of a Jacobian
+_AT_A_TIME = 1 << 20  # numbers of a Jacobian
 _BINS = 1 << 13  # of an experiment that the information is made of
 _IN_WIDTH = 4.0  # of these at least lie within the half-power width of each mode
 _ROUNDS = 3  # of linear numbers and the covariance in turn
@@ -390,8 +390,9 @@ class LikelihoodEvaluation:
         """
         total = np.zeros((self.point.noise.states, self.p))
         for block in self._blocks():
-            J = block.J[:, :, fitted]
-            scatter = np.eye(self.p) - (J @ among) @ J.conj().transpose(0, 2, 1)
+            used = np.flatnonzero(block.J[:, :, fitted].any(axis=(0, 1)))  # inputs act in some experiments alone
+            J = block.J[:, :, fitted[used]]
+            scatter = np.eye(self.p) - (J @ among[np.ix_(used, used)]) @ J.conj().transpose(0, 2, 1)
             through = (block.W @ np.asarray(block.seen)) * block.counts[:, None, None]
             total -= np.einsum("bin,bim->nm", through.conj(), scatter).real @ self._root.T
         return total
@@ -556,9 +557,11 @@ class LikelihoodEvaluation:
         if alone and size:
             gram, gradient = self._gram_of_noise(), self._slope_of_noise()
         for errors, J, counts in self._jacobians() if not alone else ():
-            gradient += ((J.conj().T * counts) @ errors).real
+            used = np.flatnonzero(J.any(axis=0))
+            J = J[:, used]
+            gradient[used] += ((J.conj().T * counts) @ errors).real
             both = np.concatenate([J.real, J.imag]) * np.sqrt(np.tile(counts, 2))[:, None]
-            gram += both.T @ both
+            gram[np.ix_(used, used)] += both.T @ both
         gradient[self._held], gram[self._held], gram[:, self._held] = 0.0, 0.0, 0.0
         return gram, gradient
 
