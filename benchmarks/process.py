@@ -368,7 +368,8 @@ def peers(u: Array, y: Array) -> dict[str, Callable[[Array, Array], Array]]:
 
 def foretell_table(names: Sequence[str], seeds: int, with_peers: bool) -> None:
     """Print a line for each record."""
-    print(f"{'record':26} {'seed':>4} {'states':>6} {'fit 1':>6} {'fit 2':>6} {'plant':>6} {'s':>6}  {'outcome':13} best of others")
+    columns = f"{'states':>6} {'fit 1':>6} {'fit 2':>6} {'plant':>6} {'s':>6}  {'outcome':13} best of others"
+    print(f"{'record':26} {'seed':>4} {columns}")
     for name in names:
         for seed in range(seeds):
             u, y, x = PROCESS[name](np.random.default_rng([seed, 7]))
