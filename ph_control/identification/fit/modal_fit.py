@@ -23,6 +23,7 @@ from ..diagnosis.coloured_noise import beside_coloured_noise, fitted_noise
 from ..diagnosis.verdict import WHITE
 from ..estimates.estimates import Estimates
 from ..innovations.forces import KINDS, MOST_MISSING, beside_forces
+from ..moves.assumptions import alone
 from ..moves.free_fit import free_fit, free_refinement
 from ..parameters.fitted_parameters import FittedParameters
 from ..regression.free import FreeProjection, Lateness, refine_free
@@ -110,7 +111,9 @@ def _of_modes_and_inputs(
     )
 
     def with_delay(late: Lateness) -> FreeFit:
-        return search(order, start=start, moving=moving, delay=late.outputs, input_delay=late.inputs)
+        # that outputs come late is no sign of forces where there was none of these before
+        noise = {} if free.beside is not None or options.noise in KINDS else {"beside": alone}
+        return search(order, start=start, moving=moving, delay=late.outputs, input_delay=late.inputs, **noise)
 
     result = _structured(free, request, findings, with_delay)
     while options.reachable and result.success and 0 < np.sum(result.kappa > 0) < result.order:
