@@ -354,7 +354,7 @@ class Records(FreeSearch):
         shown = [channels.modes(residuals, least / len(experiments)) for channels, residuals in experiments]
         if len(experiments) > 1:
             p, _ = _joined([strongest([each], self.region.bin) for each in shown])
-            shown = [(p, sum(channels.gains(residuals, p) for channels, residuals in experiments))]
+            shown = [(p, np.sum([channels.gains(residuals, p) for channels, residuals in experiments], axis=0))]
         return strongest(shown, self.region.bin)
 
 
