@@ -33,7 +33,7 @@ from .assumptions import Assumptions, Fit, Search, alone
 from .delays import are_heavy, may_be_late, of_late_lag, of_predicted_delay, on_time, predicted_lateness
 from .drifts import are_slow, beside_drift, with_constants
 from .late_inputs import of_late_inputs, with_dead_times
-from .prevailing_noise import InNoise, beside_forces_and_more, in_prevailing_noise
+from .prevailing_noise import InNoise, beside_forces_and_more, in_prevailing_noise, may_be_white
 from .response_noise import in_noise_of_the_gain, in_noise_of_the_window, with_first_errors, without_lines_in_error
 
 _FEW_MODES = 5  # that few points of responses do not show beside a background
@@ -218,6 +218,8 @@ def _in_white_noise_and_beside(
         if begun is not None and begun.stands:
             return begun.fit, begun.forced, _noise_beside(begun.fit, path, search, start)
         late = of_predicted_delay(channels, search, shown, gain)
+        if begun is not None and late is None and not may_be_white(channels, search, common, begun.forced.criteria.bic):
+            return begun.fit, begun.forced, _noise_beside(begun.fit, path, search, start)
     fit = _or_likelier(late or known or search.along(path, channels), path, search, start)
     in_noise = _noise_beside(fit, path, search, start)
     forced = fit if fit.interrupted else _beside_noise(fit, in_noise, search)

@@ -95,8 +95,14 @@ def _likelier_than_in_white_noise(
     foretold = likely_poles(records, len(path.counts), search.orders)
     if foretold is None or not search.automatic:
         return foretold
-    white = search.in_white_noise.path(channels, late)
-    return None if may_reach(white, search.begin, search.most, foretold[1]) else foretold
+    return None if may_be_white(channels, search, late, foretold[1]) else foretold
+
+
+def may_be_white(channels: Experiments, search: Search, late: Lateness, bic: float) -> bool:
+    """Whether modes that join in white noise lead to a BIC as small as some, or may yet; of a given number always."""
+    if not search.automatic:
+        return True
+    return may_reach(search.in_white_noise.path(channels, late), search.begin, search.most, bic)
 
 
 def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) -> tuple[ComplexArray, float] | None:
