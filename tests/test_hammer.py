@@ -70,7 +70,7 @@ def test_a_random_force_is_no_hammer():
     assert "HAMMER_NOISE" not in names(result)
 
 
-def roving(seed, *, positions, samples, weak):
+def roving(seed, *, positions, samples, weak, classical=False):
     """Recordings of a hammer at one position after another: two modes at two sensors, the second `weak`."""
     rng = np.random.default_rng(seed)
     p = np.array([-0.004 + 0.5j, -0.02 + 1.9j])
@@ -80,7 +80,10 @@ def roving(seed, *, positions, samples, weak):
     for k in range(positions):
         u = np.zeros((positions, samples))
         u[k, 5:8] = [0.5, 1.0, 0.5]
-        motion = [lfilter([0, np.expm1(pole) / pole], [1, -np.exp(pole)], u[k] + 0j).real for pole in p]
+        motion = [
+            (size * lfilter([0, np.expm1(pole) / pole], [1, -np.exp(pole)], u[k] + 0j)).real
+            for pole, size in zip(p, p / (1j * p.imag) if classical else (1, 1), strict=True)
+        ]
         y = (shapes * drive[:, k, None]).T @ np.array(motion)
         recordings.append((u, y + 0.01 * rng.standard_normal(y.shape)))
     return recordings
@@ -100,3 +103,10 @@ def test_residues_of_all_positions_are_counted():
     result = phc.pem(data, 2, dt=1.0, **options)
     poles, residues, variances = 4, 3 * 2 * 4, 2
     assert result.unknowns == poles + residues + variances + np.count_nonzero(result.feedthrough)
+
+
+@pytest.mark.parametrize("seed", [1, pytest.param(6, marks=pytest.mark.slow)])
+def test_a_weak_mode_with_a_shape_is_found_where_free_residues_would_be_too_many(seed):
+    result = phc.pem(roving(seed, positions=3, samples=400, weak=0.018, classical=True), dt=1.0)
+    assert result.structure == "classical"
+    assert result.natural_frequencies == pytest.approx([0.5, 1.9], rel=0.01)

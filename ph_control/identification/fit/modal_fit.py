@@ -230,10 +230,37 @@ def _chosen(
         cut = Choice.of(replace(free, interrupted=True), request)
         return None, _judged(cut, request, (*findings, *free.findings))
     try:
-        best = under_hold_and_delays(best, request, with_delay)
+        best = _of_more_modes(under_hold_and_delays(best, request, with_delay), request)
         return best, _judged(best, request, _beside(findings, best.free))
     except KeyboardInterrupt:
         return None, cut_short(_judged(best, request, _beside(findings, best.free)))
+
+
+def _of_more_modes(best: Choice, request: Request) -> Choice:
+    """The structure of more of the modes that the search looked at, as long as it stands and is likelier.
+
+    Free residues are as many as there are entries, numbers of a shape as many as channels: of weak modes of many
+    channels the criterion may grant the one and not the other.
+    """
+    while (wider := _of_a_mode_more(best, request)) is not None:
+        if not wider.stands(request) or wider.cost() >= best.cost():
+            break
+        best = wider
+    return best
+
+
+def _of_a_mode_more(best: Choice, request: Request) -> Choice | None:
+    """The structure of a mode more; None where free residues gain less of it than any shape is charged for."""
+    free, table = best.free, {row.order: row for row in best.free.order_table}
+    now, more = table.get(free.order), table.get(free.order + 1)
+    channels = len(free.channels[0].output_labels), len(free.channels[0].input_labels)
+    is_open = free.order < request.most and free.beside is None and np.prod(channels) > 1 and best.stands(request)
+    if now is None or more is None or not is_open:
+        return None
+    if 2 * (more.loglik - now.loglik) < (2 + max(channels)) * np.log(free.projection.rows):
+        return None
+    real = free.projection.p.imag == 0
+    return Choice.of(_of_modes(free, np.append(more.poles, free.projection.p[real])), request)
 
 
 def _beside(findings: tuple[Finding, ...], free: FreeFit) -> tuple[Finding, ...]:
