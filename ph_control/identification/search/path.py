@@ -27,7 +27,7 @@ from .free_search import FreeModel, FreeSearch, Records, Responses
 
 Reports = Callable[[int], Progress | None]  # what reports the iterations for a number of modes, if anything
 
-_STEPS = 8  # of a refinement on the way
+_STEPS = 15  # of a refinement on the way
 _ROUNDS = 6  # of fit and variances in turn
 _ROUGH = 1e-5  # relative decrease of the loss at which refinements on the way end
 EXACT = 1e-13  # relative decrease of the loss at which the last refinement ends
