@@ -337,7 +337,6 @@ def test_noise_with_nothing_at_frequency_zero_leaves_errors_that_hold():
     assert result.stderr["natural_frequencies"].max() < 0.01
 
 
-@pytest.mark.slow
 def far_from_the_force(seed, samples=3000):
     """Held force on the first of three masses, and the velocity of the last, which other forces move as much."""
     M, k = np.array([2.0, 2.0, 1.5]), np.array([0.8, 0.6, 0.5])
@@ -382,6 +381,7 @@ def test_forces_are_found_beside_a_few_hits():
     assert np.all(np.abs(result.damping_ratios - ZETA) < 3 * result.stderr["damping_ratios"])
 
 
+@pytest.mark.slow
 def test_poles_that_stand_for_coloured_noise_do_not_grow():
     u, y, _ = shaken(9)
     assert phc.pem((u, y), dt=1.0).poles.real.max() * len(u) < 1.0
