@@ -54,10 +54,16 @@ INTERNALS = {
 }  # fmt: skip
 
 
-@functools.cache
 def _tree(file: Path) -> ast.Module:
-    """Syntax of a file, read once for all tests."""
+    """Syntax of a file; to keep that of all of them costs the collector of garbage more than to read it does."""
     return ast.parse(file.read_text(encoding="utf-8"))
+
+
+@functools.cache
+def _said(file: Path) -> tuple[list[tuple[ast.Import | ast.ImportFrom, str]], list[str]]:
+    """Imports of a file, with the names of the functions around them, and its classes."""
+    tree = _tree(file)
+    return _imports(tree), [node.name for node, _ in _statements(tree) if isinstance(node, ast.ClassDef)]
 
 
 @functools.cache
@@ -68,7 +74,7 @@ def imports(package: Path) -> list[tuple[str, str, str]]:
     for file in sorted(package.rglob("*.py")):
         name = _name(file, package)
         inside = name.split(".") if file.stem == "__init__" and name else name.split(".")[:-1]
-        for node, around in _imports(_tree(file)):
+        for node, around in _said(file)[0]:
             found += [(name, target, around) for target in _targets(node, inside, package.name, known)]
     return found
 
@@ -150,8 +156,7 @@ def test_a_folder_has_few_files():
 
 
 def test_no_two_classes_have_one_name():
-    trees = [_tree(file) for file in PACKAGE.rglob("*.py")]
-    names = [node.name for tree in trees for node, _ in _statements(tree) if isinstance(node, ast.ClassDef)]
+    names = [name for file in PACKAGE.rglob("*.py") for name in _said(file)[1]]
     assert sorted(set(names)) == sorted(names)
 
 
