@@ -8,7 +8,7 @@ import control as ct
 import numpy as np
 import pytest
 from modal_plants import Plant, data_of
-from shell import run
+from shell import run, without_pictures
 
 import ph_control as phc
 
@@ -248,9 +248,10 @@ def test_noise_alone_is_nothing_to_model():
 # --- the command line ------------------------------------------------------------------------------------------------
 
 
-def test_the_command_line_fits_channels_and_names_ports(tmp_path):
-    u, y = recording()
-    table = np.column_stack([np.arange(600.0), u.T, y.T])
+def test_the_command_line_fits_channels_and_names_ports(tmp_path, monkeypatch):
+    without_pictures(monkeypatch)
+    u, y = recording(samples=300)
+    table = np.column_stack([np.arange(300.0), u.T, y.T])
     np.savetxt(tmp_path / "r.csv", table, delimiter=",", header="t,f,g,a,b,c", comments="")
     words = ["fit", tmp_path / "r.csv", "--order", 2, "--inputs", "f,g", "--outputs", "a,b,c", "--ports", "a:f,b:g"]
     done = run(*words, "--model", tmp_path / "m.json", "--result", tmp_path / "x.json", "--bode", tmp_path / "b.png")
