@@ -5,6 +5,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from shell import without_pictures
 from slow import slowly
 
 import ph_control as phc
@@ -100,7 +101,8 @@ def late():
     return u, y, fitted(u, y, order=3, noise="white")
 
 
-def test_files_pictures_and_pages_have_the_delay(late, tmp_path):
+def test_files_and_pages_have_the_delay(late, tmp_path, monkeypatch):
+    without_pictures(monkeypatch)
     u, y, result = late
     assert result.delay[0] > 0
     result.save(tmp_path / "late.json")
