@@ -410,7 +410,7 @@ def test_results_of_ambient_excitation_have_what_others_have(fit, record, tmp_pa
     assert np.sum(diagram.stability[list(diagram.orders).index(4)] >= 1) >= 3
     for plot in (fit.plot(), diagram.plot(), phc.shape_plot(fit), phc.residual_plot(fit)):
         plt.close(plot.figure)
-    table = phc.fit_many([(None, record[:, :1000]), (None, ambient(7, 1000))], order=3, dt=STEP)
+    table = phc.fit_many([(None, record[:, :1000]), (None, ambient(7, 1000))], order=3, dt=STEP, noise="forces")
     assert len(table.table) == 6 and not len(table.failures)
     assert fit.residuals.shape == record.shape and fit.whiteness > 1e-3
     with pytest.raises(phc.StructureError, match="forces that nobody measured"):
