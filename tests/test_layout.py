@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import gc
 import re
 import runpy
 from collections.abc import Iterator
@@ -54,15 +55,19 @@ INTERNALS = {
 }  # fmt: skip
 
 
-def _tree(file: Path) -> ast.Module:
-    """Syntax of a file; to keep that of all of them costs the collector of garbage more than to read it does."""
-    return ast.parse(file.read_text(encoding="utf-8"))
+def _tree(source: str) -> ast.Module:
+    """Syntax of a source, of so many objects that the collector of garbage takes longer than the parser."""
+    gc.disable()
+    try:
+        return ast.parse(source)
+    finally:
+        gc.enable()
 
 
 @functools.cache
 def _said(file: Path) -> tuple[list[tuple[ast.Import | ast.ImportFrom, str]], list[str]]:
     """Imports of a file, with the names of the functions around them, and its classes."""
-    tree = _tree(file)
+    tree = _tree(file.read_text(encoding="utf-8"))
     return _imports(tree), [node.name for node, _ in _statements(tree) if isinstance(node, ast.ClassDef)]
 
 
@@ -164,7 +169,7 @@ def test_every_folder_is_in_the_order_and_says_what_is_inside():
     for file in PACKAGE.rglob("__init__.py"):
         name = _name(file, PACKAGE)
         assert name == "identification" or (folder(name) in ORDER and (not name or folder(name))), name
-        assert ast.get_docstring(_tree(file)), name
+        assert ast.get_docstring(_tree(file.read_text(encoding="utf-8"))), name
 
 
 def test_the_page_on_the_architecture_names_every_folder_and_no_other():
@@ -189,7 +194,7 @@ def test_the_picture_has_every_folder_and_is_what_its_script_draws():
 def imported_modules(source: str) -> set[str]:
     """Modules of the package, but for the entry of the command line, that a source imports anywhere."""
     found = set()
-    for node, _ in _imports(ast.parse(source)):
+    for node, _ in _imports(_tree(source)):
         names = [alias.name for alias in node.names]
         if isinstance(node, ast.Import):
             found |= {name for name in names if name.startswith("ph_control.")}
