@@ -1,5 +1,6 @@
 """What every test shares: no test may change global state, and where third-party data lies."""
 
+import gc
 import os
 from collections import Counter
 from pathlib import Path
@@ -25,6 +26,17 @@ def pytest_configure(config):
     """Give files to processes in their order: few long tests at the end would keep one of them waiting."""
     if hasattr(config.option, "loadscopereorder"):
         config.option.loadscopereorder = False
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Spare the collector of garbage all that stays: hundreds of thousands of objects, which it would visit often."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_addoption(parser):

@@ -6,6 +6,7 @@ import pytest
 from ambient_plant import HERTZ, SHAPES, STEP, ZETA, ambient
 from scipy.signal import lfilter
 from scipy.stats import chi2
+from slow import slowly
 
 import ph_control as phc
 
@@ -149,7 +150,7 @@ def test_what_a_set_up_did_not_measure_is_not_predicted(moved, tmp_path):
 
 
 def test_a_machine_in_all_set_ups_is_named_and_is_no_mode():
-    result = phc.pem(set_ups(4, ([0, 1], [0, 2]), (1.0, 1.0), shapes=SHAPES, tone=0.5))
+    result = phc.pem(set_ups(4, ([0, 1], [0, 2]), (1.0, 1.0), 1000, SHAPES, tone=0.5))
     assert result.order == 3 and causes(result).count("HUM") == 2
     (tone,) = {hum.values[0] for hum in result.findings if hum.cause.name == "HUM"}
     assert abs(tone / (2 * np.pi) - 6.1) < 0.002
@@ -191,7 +192,7 @@ def test_a_decay_in_the_wind_is_ambient():
     assert np.all(np.abs(result.damping_ratios - ZETA) < 3 * result.stderr["damping_ratios"])
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [2, *slowly(0)])
 def test_a_tone_takes_no_mode_of_little_damping_along(seed):
     t, zeta = STEP * np.arange(2000), np.array([0.002, 0.012, 0.015])
     y = ambient(seed, 2000, zeta=zeta)
@@ -263,15 +264,15 @@ def clean():
 
 
 def test_wild_values_are_named_and_may_be_marked_as_missing(clean):
-    wild = clean.copy()
+    wild = clean[:, :1000].copy()
     wild[1, [500, 901]] += 10 * clean[1].std() * np.array([1, -1])
-    result = phc.pem((None, wild), dt=STEP)
+    result = phc.pem((None, wild), 3, dt=STEP)
     finding = the(result, "OUTLIERS")
     assert finding.values == (500, 901) and finding.output == "y2" and result.outcome.name == "DOUBTFUL"
     assert "mark them with NaN" in result.message and result.message.startswith("Doubtful, as some values")
     wild[1, [500, 901]] = np.nan
-    again = phc.pem((None, wild), dt=STEP)
-    assert again.is_ambient and again.order == 3 and holds(again)
+    again = phc.pem((None, wild), 3, dt=STEP)
+    assert again.is_ambient and holds(again)
     assert set(causes(again)) <= BESIDE and again.outcome.name == "CONSISTENT"
 
 
@@ -409,21 +410,22 @@ def test_results_of_ambient_excitation_have_what_others_have(fit, record, tmp_pa
     assert np.sum(diagram.stability[list(diagram.orders).index(4)] >= 1) >= 3
     for plot in (fit.plot(), diagram.plot(), phc.shape_plot(fit), phc.residual_plot(fit)):
         plt.close(plot.figure)
-    table = phc.fit_many([(None, record), (None, ambient(7, 1500))], dt=STEP)
+    table = phc.fit_many([(None, record[:, :1000]), (None, ambient(7, 1000))], order=3, dt=STEP, noise="forces")
     assert len(table.table) == 6 and not len(table.failures)
     assert fit.residuals.shape == record.shape and fit.whiteness > 1e-3
     with pytest.raises(phc.StructureError, match="forces that nobody measured"):
         fit.bootstrap(10)
 
 
-@pytest.mark.parametrize("outputs", [1, 2])
-def test_a_decay_of_many_modes_in_little_noise_is_no_ambient_motion(outputs):
+@pytest.mark.parametrize(("outputs", "modes", "samples"), [(1, 5, 1000), *slowly((1, 6, 2000), (2, 6, 2000))])
+def test_a_decay_of_many_modes_in_little_noise_is_no_ambient_motion(outputs, modes, samples):
     w, zeta = np.array([0.037, 0.12, 0.22, 0.28, 0.33, 0.78]), np.array([0.003, 0.002, 0.002, 0.003, 0.028, 0.007])
     rng = np.random.default_rng(outputs)
     c = rng.uniform(0.5, 1.5, (outputs, 6)) * np.exp(1j * rng.uniform(0.0, 2 * np.pi, (outputs, 6)))
-    y = 2 * (c @ np.exp(np.outer(w * (-zeta + 1j * np.sqrt(1 - zeta**2)), np.arange(2000)))).real
+    w, zeta, c = w[:modes], zeta[:modes], c[:, :modes]
+    y = 2 * (c @ np.exp(np.outer(w * (-zeta + 1j * np.sqrt(1 - zeta**2)), np.arange(samples)))).real
     y += 0.004 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
     fit = phc.pem((None, y), dt=1.0)
-    assert fit.order == 6 and not {"AMBIENT", "FORCES"} & {finding.cause.name for finding in fit.findings}
+    assert fit.order == modes and not {"AMBIENT", "FORCES"} & {finding.cause.name for finding in fit.findings}
     assert fit.outcome.name == "CONSISTENT"
     assert np.all(np.abs(fit.natural_frequencies - w) < 4.5 * fit.stderr["natural_frequencies"])

@@ -453,6 +453,7 @@ def test_demo_leaves_recordings_models_and_pictures_and_finds_the_truth(tmp_path
     refused = run("demo", "--folder", folder)
     assert refused.status == 2 and "not an empty folder" in refused.error
     # what the demonstration proposes to do next works
+    without_pictures(monkeypatch)
     command = re.search(r"Next: ph-control (.*)", done.out)[1].split()
     assert run(*command).status == 0 and (tmp_path / "my_model.json").exists()
 

@@ -6,11 +6,13 @@ import doctest
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.io
 from shell import Shell, run, without_pictures
+from slow import slowly
 
 import ph_control as phc
 from ph_control import cli
@@ -72,8 +74,14 @@ def test_every_command_and_every_kind_of_picture_has_an_example():
     assert kinds == {"bode", "step", "impulse", "modes", "poles", "energy", "fit"}
 
 
+def but_costly_ones(lines: list[str]) -> list[Any]:
+    """Without what other tests run each time: the demonstration, and many recordings in other processes."""
+    slow = [line for line in lines if line.startswith("ph-control demo") or "--workers" in line]
+    return [line for line in lines if line not in slow] + slowly(*slow)
+
+
 @pytest.mark.variants
-@pytest.mark.parametrize("line", list(dict.fromkeys(every_example())))
+@pytest.mark.parametrize("line", but_costly_ones(list(dict.fromkeys(every_example()))))
 def test_an_example_of_a_help_works_as_it_stands(workshop, line, monkeypatch):
     if line.startswith("ph-control demo"):  # which are drawn in the tests of the command
         without_pictures(monkeypatch)

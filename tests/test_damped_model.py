@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 import ph_control as phc
 
 lossless_fit = partial(phc.pem, structure="lossless")
+KNOWN = {"intersample": "zoh", "delay": 0.0, "noise": "white"}
 
 H = 0.1
 D, RATIOS, WEIGHTS = np.array([0.5, 1.9, 2.6]), np.array([0.01, 0.005, 0.02]), np.array([1.0, -0.5, 0.7])
@@ -112,7 +113,7 @@ def test_records_with_gaps_offsets_and_rest_share_one_model():
     first = recorded(u, RATIOS, WEIGHTS) + 3.0
     second = recorded(v, RATIOS, WEIGHTS, seed=1) - 2.0
     first[np.random.default_rng(0).random(1000) < 0.1] = np.nan
-    model = phc.pem([(u, first), (v, second)], 3, dt=H, offset=True, initial_state="zero")
+    model = phc.pem([(u, first), (v, second)], 3, dt=H, offset=True, initial_state="zero", **KNOWN)
     assert np.allclose(model.offsets, [3, -2], atol=0.05) and len(model.experiments) == 2
     assert not any(np.any(one.free_amplitudes) for one in model.experiments)
     assert np.all(np.abs(model.damping_ratios - RATIOS) < 4 * model.stderr["damping_ratios"])
@@ -129,11 +130,11 @@ def test_a_lossless_record_is_not_rejected():
 
 @pytest.mark.slow
 def test_a_lossless_model_is_refused_by_chance_as_often_as_it_should():
-    found, known = [], {"intersample": "zoh", "delay": 0.0, "noise": "white"}
+    found = []
     for seed in range(30):
         u = white(300, seed)
         found.append(
-            lossless_fit((u, recorded(u, [0, 0], [1.0, 0.6], d=D[:2], h=1.0, seed=seed)), 2, dt=1.0, **known).tests[0]
+            lossless_fit((u, recorded(u, [0, 0], [1.0, 0.6], d=D[:2], h=1.0, seed=seed)), 2, dt=1.0, **KNOWN).tests[0]
         )
     p = np.array([one.p for one in found])
     assert {one.dof for one in found} == {4}

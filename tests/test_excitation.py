@@ -843,7 +843,7 @@ def test_bounds_of_a_fit_are_those_that_it_states():
 
 
 def test_coloured_noise_enters_by_its_spectrum():
-    h, rng, T = 0.2, np.random.default_rng(2), 900
+    h, rng, T = 0.2, np.random.default_rng(2), 500
     u = rng.standard_normal((2, T))
     e = 0.1 * rng.standard_normal((2, T + 50))
     for k in range(1, T + 50):

@@ -89,7 +89,7 @@ def test_hum_beside_a_lag_whose_number_is_given_is_no_coloured_noise():
 
 def test_hum_of_each_experiment_has_its_own_phase():
     pair = [humming(4, 0.1, 5.0), humming(5, 0.3, 5.0)]
-    result = phc.pem(pair, dt=STEP)
+    result = phc.pem(pair, dt=STEP, intersample="zoh", delay=0.0)
     first, second = hums(result)
     assert result.order == 2 and (first.experiment, second.experiment) == (0, 1)
     assert first.values[0] == second.values[0]

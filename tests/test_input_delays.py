@@ -40,9 +40,12 @@ def recorded(seed, dead=DEAD, *, samples=700, outputs=1, noise=0.05, colour=0.0,
     return u, y + noise * y.std(axis=1, keepdims=True) * e
 
 
+RECORD = recorded(2, samples=490)
+
+
 @pytest.fixture(scope="module")
 def fit():
-    return phc.pem(recorded(0), dt=DT)
+    return phc.pem(RECORD, dt=DT)
 
 
 def test_dead_times_of_inputs_are_found_with_the_plant(fit):
@@ -58,14 +61,14 @@ def test_dead_times_of_inputs_are_found_with_the_plant(fit):
     assert "dead times      'u2' 2, 'u3' 4.5, in predictions and not in system" in str(fit)
     assert "2 inputs act later ('u2', 'u3')" in fit.message
     # beyond lags that stand for them, by half the difference of the criterion
-    on_time = phc.pem(recorded(0), dt=DT, delay=0.0, input_delay=0.0, noise="white")
+    on_time = phc.pem(RECORD, dt=DT, delay=0.0, input_delay=0.0, noise="white")
     np.testing.assert_allclose(findings[0].gain, 0.5 * (on_time.bic - fit.bic), rtol=0.2)
 
 
 @pytest.mark.parametrize(
     ("data", "options"),
     [
-        ({"samples": 300, "outputs": 2, "noise": 0.05}, {"order": 0, "real_poles": 2}),
+        ({"samples": 140, "outputs": 2, "noise": 0.05}, {"order": 0, "real_poles": 2, "noise": "white"}),
         *slowly(({"samples": 1400, "colour": 0.9, "noise": 0.3}, {})),
     ],
 )
@@ -145,8 +148,7 @@ def test_predictions_have_the_dead_times(fit):
 
 
 def test_a_prediction_goes_on_where_the_record_ended(fit):
-    u, _ = recorded(0)
-    more, _ = recorded(10)
+    (u, _), (more, _) = RECORD, recorded(10)
     both = plant(np.concatenate([u, more], axis=1))[:, u.shape[1] :]
     final = fit.predict(more, initial_state="final").outputs
     assert np.std(final - both) < 0.05 * np.std(both)

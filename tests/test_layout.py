@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import gc
 import re
 import runpy
 from collections.abc import Iterator
@@ -54,10 +55,20 @@ INTERNALS = {
 }  # fmt: skip
 
 
+def _tree(source: str) -> ast.Module:
+    """Syntax of a source, of so many objects that the collector of garbage takes longer than the parser."""
+    gc.disable()
+    try:
+        return ast.parse(source)
+    finally:
+        gc.enable()
+
+
 @functools.cache
-def _tree(file: Path) -> ast.Module:
-    """Syntax of a file, read once for all tests."""
-    return ast.parse(file.read_text(encoding="utf-8"))
+def _said(file: Path) -> tuple[list[tuple[ast.Import | ast.ImportFrom, str]], list[str]]:
+    """Imports of a file, with the names of the functions around them, and its classes."""
+    tree = _tree(file.read_text(encoding="utf-8"))
+    return _imports(tree), [node.name for node, _ in _statements(tree) if isinstance(node, ast.ClassDef)]
 
 
 @functools.cache
@@ -68,7 +79,7 @@ def imports(package: Path) -> list[tuple[str, str, str]]:
     for file in sorted(package.rglob("*.py")):
         name = _name(file, package)
         inside = name.split(".") if file.stem == "__init__" and name else name.split(".")[:-1]
-        for node, around in _imports(_tree(file)):
+        for node, around in _said(file)[0]:
             found += [(name, target, around) for target in _targets(node, inside, package.name, known)]
     return found
 
@@ -150,8 +161,7 @@ def test_a_folder_has_few_files():
 
 
 def test_no_two_classes_have_one_name():
-    trees = [_tree(file) for file in PACKAGE.rglob("*.py")]
-    names = [node.name for tree in trees for node, _ in _statements(tree) if isinstance(node, ast.ClassDef)]
+    names = [name for file in PACKAGE.rglob("*.py") for name in _said(file)[1]]
     assert sorted(set(names)) == sorted(names)
 
 
@@ -159,7 +169,7 @@ def test_every_folder_is_in_the_order_and_says_what_is_inside():
     for file in PACKAGE.rglob("__init__.py"):
         name = _name(file, PACKAGE)
         assert name == "identification" or (folder(name) in ORDER and (not name or folder(name))), name
-        assert ast.get_docstring(_tree(file)), name
+        assert ast.get_docstring(_tree(file.read_text(encoding="utf-8"))), name
 
 
 def test_the_page_on_the_architecture_names_every_folder_and_no_other():
@@ -184,7 +194,7 @@ def test_the_picture_has_every_folder_and_is_what_its_script_draws():
 def imported_modules(source: str) -> set[str]:
     """Modules of the package, but for the entry of the command line, that a source imports anywhere."""
     found = set()
-    for node, _ in _imports(ast.parse(source)):
+    for node, _ in _imports(_tree(source)):
         names = [alias.name for alias in node.names]
         if isinstance(node, ast.Import):
             found |= {name for name in names if name.startswith("ph_control.")}

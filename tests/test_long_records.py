@@ -38,9 +38,9 @@ def disk(tmp_path_factory):
     return make
 
 
-@pytest.fixture(scope="module", autouse=True)
+@pytest.fixture(scope="module")
 def loaded():
-    """Modules that the first fit imports are no memory of a fit."""
+    """Import what a first fit does, which is no memory of a fit."""
     u = np.random.default_rng(0).standard_normal(400)
     y = moved(u, 0.01, np.ones((1, 3)))[0] + 0.1 * u[::-1]
     for structure in ("auto", "lossless", "free"):
@@ -53,7 +53,7 @@ def noise():
 
 
 @pytest.mark.slow
-def test_lossless_modes_are_followed_from_a_part_to_the_whole(disk, noise):
+def test_lossless_modes_are_followed_from_a_part_to_the_whole(disk, noise, loaded):
     u = disk(noise[0])
     y = disk(moved(noise[0], 0.0, np.ones((1, 3)))[0] + 30.0 * noise[1])
     tracemalloc.start()
@@ -75,7 +75,7 @@ def test_lossless_modes_are_followed_from_a_part_to_the_whole(disk, noise):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("structure", ["auto", "free"])
-def test_no_time_is_made_of_a_long_record_before_somebody_asks_for_it(tmp_path, structure):
+def test_no_time_is_made_of_a_long_record_before_somebody_asks_for_it(tmp_path, structure, loaded):
     samples = 10_000_000
     for name in "uy":
         np.lib.format.open_memmap(tmp_path / name, "w+", float, (samples,))
@@ -101,7 +101,7 @@ def test_damped_modes_of_a_long_record_get_a_damped_answer(disk, noise):
 
 
 @pytest.mark.slow
-def test_channels_in_single_precision_stay_on_the_disk(disk, noise):
+def test_channels_in_single_precision_stay_on_the_disk(disk, noise, loaded):
     shapes = np.array([[1.0, 1.0, 1.0], [1.0, -0.5, 2.0]])
     y = moved(noise[0], 0.01, shapes) + [[0.5], [2.0]] * noise[1:]
     u, y = disk(noise[:1].astype(np.float32)), disk(y.astype(np.float32))

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from scripts import ROOT
 from shell import run as shell
+from slow import slowly
 from test_workers import cluster
 
 import ph_control as phc
@@ -143,17 +144,17 @@ def test_an_iterator_is_taken_as_there_is_room():
     assert len(fits) == 15 and ahead[0] == 3
 
 
-def test_a_failure_among_quick_recordings_is_its_own_only():
+@pytest.mark.parametrize("kind", ["processes", *slowly("threads")])
+def test_a_failure_among_quick_recordings_is_its_own_only(kind):
     def recordings():
         return (pair(k % 5, 30) if k != 10 else {"no": lambda: None} for k in range(14))
 
     here = phc.fit_many([pair(k, 30) for k in range(5)], dt=STEP, **OPTIONS).table["hertz"]
     expected = [here[k % 5] for k in range(14) if k != 10]
-    for workers in (ThreadPoolExecutor(2), nullcontext(2)):
-        with workers as given:
-            fits = phc.fit_many(recordings(), workers=given, dt=STEP, **OPTIONS)
-        assert fits.failures["recording"].tolist() == [10]
-        assert fits.table["hertz"][fits.table["order"] >= 0].tolist() == expected
+    with ThreadPoolExecutor(2) if kind == "threads" else nullcontext(2) as given:
+        fits = phc.fit_many(recordings(), workers=given, dt=STEP, **OPTIONS)
+    assert fits.failures["recording"].tolist() == [10]
+    assert fits.table["hertz"][fits.table["order"] >= 0].tolist() == expected
 
 
 def test_a_callback_is_told_of_each_recording(files):
@@ -295,8 +296,10 @@ def test_a_killed_client_loses_no_result_and_doubles_none(tmp_path):
     assert fits.table["hertz"].tolist() == phc.fit_many(files, **OPTIONS).table["hertz"].tolist()
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-@pytest.mark.parametrize("reason", [StopIteration, KeyboardInterrupt])
+@pytest.mark.parametrize(
+    ("reason", "workers"),
+    [(StopIteration, 1), (KeyboardInterrupt, 2), *slowly((StopIteration, 2), (KeyboardInterrupt, 1))],
+)
 def test_an_interruption_gives_what_is_done(files, tmp_path, workers, reason):
     def stop(told):
         if told.done == 2:

@@ -96,10 +96,10 @@ def test_measured_phases_are_beside_the_model_and_no_model_jumps_in_the_middle()
     np.testing.assert_allclose(plot.lines[0, 1][1].get_ydata(), 20 * np.log10(np.abs(measured(fit, 0.02).frdata[1, 0])))
 
 
-PANELS = {(1, 1): (2, 1), (9, 1): (6, 3), (4, 1): (4, 2), (5, 1): (4, 3), (9, 2): (18, 2), (1, 3): (2, 3)}
+PANELS = {(1, 1): (2, 1), (4, 1): (4, 2), (5, 1): (4, 3), (9, 1): (6, 3), (9, 2): (18, 2), (1, 3): (2, 3)}
 
 
-@pytest.mark.parametrize("p, m", [*list(PANELS)[:4], *slowly(*list(PANELS)[4:])])
+@pytest.mark.parametrize("p, m", [*list(PANELS)[:2], *slowly(*list(PANELS)[2:])])
 def test_panels_stay_wide_enough_to_read(p, m):
     shape = PANELS[p, m]
     plot = phc.frf_plot(result(p, m))

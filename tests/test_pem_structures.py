@@ -8,7 +8,7 @@ import control as ct
 import numpy as np
 import pytest
 from modal_plants import Plant, data_of
-from shell import run
+from shell import run, without_pictures
 
 import ph_control as phc
 
@@ -113,12 +113,12 @@ def test_an_interpolated_input_is_told_by_the_structure():
 @pytest.mark.parametrize("kind", ["time", "response"])
 def test_the_simplest_structure_that_stands_is_the_answer(kind):
     options = {"dt": 1.0} if kind == "time" else {}
-    found = phc.pem(data_of(PLANT, kind, 600, 3, 0.05), ports=[(0, 0), (1, 1)], **options)
+    found = phc.pem(data_of(PLANT, kind, 300, 3, 0.05), ports=[(0, 0), (1, 1)], **options)
     assert found.structure == "classical" and found.order == 2
     by_name = {one.hypothesis: one for one in found.tests}
     assert by_name["lossless"].p < 1e-10 and min(by_name[name].p for name in ("classical", "rank one")) > 0.05
     assert isinstance(found.system, phc.PortHamiltonian)
-    free = phc.pem(data_of(PLANT, kind, 600, 3, 0.05), structure="free", **options)
+    free = phc.pem(data_of(PLANT, kind, 300, 3, 0.05), 2, structure="free", **options)
     assert np.all(found.stderr["damping_ratios"] <= free.stderr["damping_ratios"] * 1.001)
 
 
@@ -248,9 +248,10 @@ def test_noise_alone_is_nothing_to_model():
 # --- the command line ------------------------------------------------------------------------------------------------
 
 
-def test_the_command_line_fits_channels_and_names_ports(tmp_path):
-    u, y = recording()
-    table = np.column_stack([np.arange(600.0), u.T, y.T])
+def test_the_command_line_fits_channels_and_names_ports(tmp_path, monkeypatch):
+    without_pictures(monkeypatch)
+    u, y = recording(samples=300)
+    table = np.column_stack([np.arange(300.0), u.T, y.T])
     np.savetxt(tmp_path / "r.csv", table, delimiter=",", header="t,f,g,a,b,c", comments="")
     words = ["fit", tmp_path / "r.csv", "--order", 2, "--inputs", "f,g", "--outputs", "a,b,c", "--ports", "a:f,b:g"]
     done = run(*words, "--model", tmp_path / "m.json", "--result", tmp_path / "x.json", "--bode", tmp_path / "b.png")

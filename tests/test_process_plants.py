@@ -53,7 +53,7 @@ def test_a_lag_is_found_beside_load_noise_of_its_size_and_its_interval_covers():
     assert np.mean(np.square(off)) < 2.5 and np.sum(np.abs(off) < 1.96) >= 2
 
 
-@pytest.mark.parametrize(("late", "seed"), [(15, 0), (30, 1), *slowly((3, 2), (10, 1), (30, 2))])
+@pytest.mark.parametrize(("late", "seed"), [(30, 1), *slowly((3, 2), (10, 1), (15, 0), (30, 2))])
 def test_a_dead_time_of_many_samples_is_found(late, seed):
     # its steps repeat before the response to the first has ended; lags and modes stand for it
     rng = np.random.default_rng(seed)

@@ -127,7 +127,10 @@ def test_residuals_of_a_lag_that_is_missing_are_whitened_only_where_that_is_like
     y += rng.standard_normal((2, 1)) * 2 * lfilter([0, 1], [1, -z], (z - 1) / pole * 0.32 * u.astype(complex)).real
     u, y = u[300:], y[:, 300:]
     y = y + 0.0015 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
-    result, white = (phc.pem((u, y), dt=0.1, noise=noise) for noise in ("auto", "white"))
+    result, white = (
+        phc.pem((u, y), 1, dt=0.1, real_poles=1, intersample="zoh", delay=0.0, noise=noise)
+        for noise in ("auto", "white")
+    )
     assert result.bic < white.bic + 8
 
 

@@ -74,9 +74,9 @@ def test_real_poles_are_estimated_with_errors_that_hold(name):
 
 def test_the_number_of_real_poles_may_be_given():
     _, _, u, y = recording("motor")
-    (slow,) = phc.pem((u, y), dt=H, order="auto", real_poles=1, max_order=1, structure="free").real_poles
+    (slow,) = phc.pem((u, y), dt=H, real_poles=1, max_order=1, structure="free", intersample="zoh").real_poles
     assert -3.0 < slow < -0.3  # the other one is left to coloured noise
-    assert phc.pem((u, y), dt=H, real_poles=2).states == 2
+    assert phc.pem((u, y), dt=H, real_poles=2, intersample="zoh", delay=0.0).states == 2
     for wrong in (-1, 1.5, "some"):
         with pytest.raises(phc.StructureError, match="real_poles"):
             phc.pem((u, y), dt=H, real_poles=wrong)
@@ -292,7 +292,7 @@ def test_what_is_fed_through_stands_out_of_its_error():
     np.testing.assert_allclose(phc.pem((u, y + 0.03 * u), 0, **options).feedthrough, 0.03, atol=0.012)
 
 
-@pytest.mark.parametrize(("seed", "colour"), [(0, 0.0), (5, 0.5), (2, 0.9)])
+@pytest.mark.parametrize(("seed", "colour"), [(0, 0.0), (2, 0.9), *slowly((5, 0.5))])
 def test_a_lag_of_negative_gain_is_fitted_with_its_sign(seed, colour):
     rng, samples = np.random.default_rng(seed), 400
     u = np.repeat(rng.choice([-1.0, 1.0], samples // 5), 5)

@@ -13,6 +13,7 @@ from html.parser import HTMLParser
 import control as ct
 import numpy as np
 import pytest
+from shell import without_pictures
 
 import ph_control as phc
 
@@ -114,7 +115,8 @@ def test_page_of_a_lossless_fit_and_files_that_are_there(tmp_path):
         result.report(tmp_path / "none" / "fit.html")
 
 
-def test_page_tells_experiments_apart_and_says_why_there_is_no_picture(tmp_path):
+def test_page_tells_experiments_apart_and_says_why_there_is_no_picture(tmp_path, monkeypatch):
+    without_pictures(monkeypatch)
     rng, plant = np.random.default_rng(1), phc.ph(phc.modes([1.0, 2.5], [1.0, 0.4]))
     inputs = [rng.standard_normal(400) for _ in range(2)]
     steps = [0.1, 0.15]
@@ -128,7 +130,8 @@ def test_page_tells_experiments_apart_and_says_why_there_is_no_picture(tmp_path)
     assert "No picture: the records have steps" in text
 
 
-def test_page_of_a_response_shows_it_once(tmp_path):
+def test_page_of_a_response_shows_it_once(tmp_path, monkeypatch):
+    without_pictures(monkeypatch)
     omega = np.linspace(0.3, 3.0, 200)
     plant, rng = phc.spring_chain([1.0], [], ground=1.0, ground_c=0.05), np.random.default_rng(0)
     noise = 0.01 * (rng.standard_normal(200) + 1j * rng.standard_normal(200))

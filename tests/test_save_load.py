@@ -284,32 +284,32 @@ def test_failure_while_writing_leaves_nothing_behind_and_the_old_file_whole(
         assert path.read_text() == "old"
 
 
+# of two processes one is killed while it writes, the other goes on when it is told to
 KILLED = """
 import os, signal, sys
 import ph_control as phc
 
+other = os.fork()
+
 def ended(descriptor):
-    if sys.argv[2] == "killed":
+    if not other:
         os.kill(os.getpid(), signal.SIGKILL)
-    print("writing", flush=True)
+    print(os.waitstatus_to_exitcode(os.wait()[1]), flush=True)
     sys.stdin.readline()
 
 os.fsync = ended
-phc.save(phc.modes(1.0, 2.0), sys.argv[1])
+phc.save(phc.modes(1.0, 2.0), sys.argv[1 if other else 2])
 """
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 def test_what_a_killed_process_leaves_is_removed_by_the_next_one_and_nothing_else(path, model, tmp_path):
-    def process(name, fate):
-        words = [sys.executable, "-c", KILLED, str(tmp_path / name), fate]
-        return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-
     own = [".ph_control-notes.tmp", "x.tmp", ".ph_control-0123456789abcdef.tmp.txt", "ph_control-0123456789abcdef.tmp"]
     for name in own:
         (tmp_path / name).write_text("mine")
-    with process("killed.json", "killed") as killed, process("living.json", "living") as living:
-        assert killed.wait() == -9 and living.stdout.readline() == "writing\n"
+    words = [sys.executable, "-c", KILLED, str(tmp_path / "living.json"), str(tmp_path / "killed.json")]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as living:
+        assert living.stdout.readline() == "-9\n"
         assert len(os.listdir(tmp_path)) == len(own) + 2
         save(model, path)
         (left,) = {*os.listdir(tmp_path)} - {*own, path.name}

@@ -220,13 +220,14 @@ def test_standard_errors_are_those_of_repeated_noise(quantity):
 
 def test_more_data_shrink_the_errors_as_they_should():
     # errors of frequencies fall with the length to the power 3/2, of weights with its root
-    short, long = (lossless_fit(recording(T, 0.1, 5, noise=0.1), N, dt=0.1) for T in (500, 4000))
+    known = {"dt": 0.1, "intersample": "zoh", "delay": 0.0, "noise": "white"}
+    short, long = (lossless_fit(recording(T, 0.1, 5, noise=0.1), N, **known) for T in (500, 4000))
     assert np.allclose(np.mean(long.stderr["d"] / short.stderr["d"]), 8**-1.5, rtol=0.4)
     twice = recording(500, 0.1, 4)
-    both = lossless_fit([twice, twice], N, dt=0.1)
+    both = lossless_fit([twice, twice], N, **known)
     # the same record twice: half the variance, whatever belongs to each of them being known separately; that of the
     # noise is what a free model leaves, with poles and residues, and a motion for each record
-    one, samples = lossless_fit(twice, N, dt=0.1), int(np.sum(~np.isnan(twice[1])))
+    one, samples = lossless_fit(twice, N, **known), int(np.sum(~np.isnan(twice[1])))
     degrees = (2 * samples - 8 * N) / (samples - 6 * N)
     assert np.allclose(both.d, one.d, rtol=1e-6)
     assert np.allclose((one.stderr["d"] / both.stderr["d"]) ** 2, degrees, rtol=1e-6)

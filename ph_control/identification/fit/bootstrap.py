@@ -252,7 +252,7 @@ class Resampled:
         >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
         >>> y = y + 0.1 * rng.standard_normal(500)
         >>> result = phc.pem((u, y), 1, dt=0.1)
-        >>> again = result.bootstrap(100, rng=1)
+        >>> again = result.bootstrap(50, rng=1)
         >>> bool(abs(again.stderr["natural_frequencies"][0] / result.stderr["d"][0] - 1) < 0.25)
         True
         """
