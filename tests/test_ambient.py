@@ -150,7 +150,7 @@ def test_what_a_set_up_did_not_measure_is_not_predicted(moved, tmp_path):
 
 
 def test_a_machine_in_all_set_ups_is_named_and_is_no_mode():
-    result = phc.pem(set_ups(4, ([0, 1], [0, 2]), (1.0, 1.0), 1000, SHAPES, tone=0.5))
+    result = phc.pem(set_ups(4, ([0, 1], [0, 2]), (1.0, 1.0), 1000, SHAPES, tone=0.5), noise="forces")
     assert result.order == 3 and causes(result).count("HUM") == 2
     (tone,) = {hum.values[0] for hum in result.findings if hum.cause.name == "HUM"}
     assert abs(tone / (2 * np.pi) - 6.1) < 0.002

@@ -307,7 +307,7 @@ def missed(result, u, clean):
 
 @pytest.mark.parametrize(
     ("seed", "plant", "most"),
-    [(238, {"modes": 1, "lags": 1, "outputs": 2}, 0.5), *slowly((144, {}, 0.2), (121, {}, 0.25))],
+    [(144, {}, 0.2), *slowly((121, {}, 0.25), (238, {"modes": 1, "lags": 1, "outputs": 2}, 0.5))],
 )
 def test_forces_are_found_where_white_noise_tells_little_of_the_plant(seed, plant, most):
     u, y, clean = shaken(seed, **plant)

@@ -101,9 +101,9 @@ def test_a_weak_mode_is_found_below_noise_that_sensors_share():
 
 def test_slow_noise_of_the_sensor_is_neither_a_mode_nor_a_lag():
     rng = np.random.default_rng(3)
-    u = rng.standard_normal(2500)
+    u = rng.standard_normal(1000)
     y = answer(frame(np.array([[1.0, 0.8]]), (0.5, 1.1), (0.01, 0.012)), u)[0]
-    e = lfilter([1.0], [1.0, -0.99], rng.standard_normal(3500))[1000:]
+    e = lfilter([1.0], [1.0, -0.99], rng.standard_normal(2000))[1000:]
     y = y + 0.4 * np.std(y) * e / np.std(e)
     result = phc.pem((u, y), dt=STEP, quantity="velocity")
     assert result.order == 2 and not len(result.real_poles) and not np.any(result.delay)

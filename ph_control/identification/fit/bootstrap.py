@@ -184,7 +184,7 @@ class Bootstrap(Frozen):
         >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(300)
         >>> y = phc.forced_response(plant, 0.1 * np.arange(300), u, intersample="zoh").outputs
         >>> y = y + 0.1 * rng.standard_normal(300)
-        >>> again = phc.pem((u, y), 1, dt=0.1, structure="lossless").bootstrap(50, rng=1)
+        >>> again = phc.pem((u, y), 1, dt=0.1, structure="lossless").bootstrap(20, rng=1)
         >>> (low, high), = again.interval()["natural_frequencies"]
         >>> bool(low < 1.0 < high)
         True
