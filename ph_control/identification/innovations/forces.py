@@ -234,10 +234,13 @@ def _forced(
     return _of_undriven_lag(best) if lags and foretold.orders.real_poles is None else best
 
 
-def _with_lags(best: Minimum, most: int) -> Minimum:
-    """The minimum with lags that noise alone comes through, as long as the BIC falls: forces need not be white."""
+def _with_lags(best: Minimum, most: int, limit: float = np.inf) -> Minimum:
+    """The minimum with lags that noise alone comes through, as long as the BIC falls: forces need not be white.
+
+    None is looked for where the BIC is not likely to fall below some `limit`.
+    """
     problem = best.evaluation.problem
-    while len(best.evaluation.point.noise.lags) < most and _promises_lag(best.evaluation):
+    while len(best.evaluation.point.noise.lags) < most and _promises_lag(best.evaluation, limit):
         starts = (_lag_before(best.evaluation, rate, part) for rate, part in _COLOURS)
         end = min((followed(problem, start, _ROUGH, _FEW) for start in starts), key=lambda end: end.evaluation.bic)
         end = followed(problem, end.evaluation.point, steps=_STEPS)
@@ -248,14 +251,15 @@ def _with_lags(best: Minimum, most: int) -> Minimum:
     return best
 
 
-def _promises_lag(evaluation: LikelihoodEvaluation) -> bool:
-    """Whether one step of the gains of a lag promises some of what the BIC asks for."""
+def _promises_lag(evaluation: LikelihoodEvaluation, limit: float) -> bool:
+    """Whether one step of the gains of a lag promises some of what the BIC asks for, or of what a `limit` does."""
     problem, outputs = evaluation.problem, evaluation.p
+    needed = max(2 * outputs * np.log(problem.samples * outputs), evaluation.bic - limit)
     for rate in _RATES:
         begun = problem.evaluated(_lag_before(evaluation, rate, 0.0))
         numbers = problem.numbers_before_shared(begun.point.noise) - outputs + np.arange(outputs)
         others = np.setdiff1d(np.arange(len(begun.normal[1])), numbers)
-        if begun.promised(numbers, others) > _HINT * 2 * outputs * np.log(problem.samples * outputs):
+        if begun.promised(numbers, others) > _HINT * needed:
             return True
     return False
 
@@ -407,7 +411,8 @@ def _of_fewer_modes(best: Minimum, lags: int) -> Minimum:
         if not fewer:
             break
         nearly = min(fewer, key=lambda minimum: minimum.evaluation.bic).evaluation
-        likeliest = _with_lags(followed(nearly.problem, nearly.point, steps=_STEPS), lags)
+        likeliest = followed(nearly.problem, nearly.point, steps=_STEPS)
+        likeliest = _with_lags(likeliest, lags, best.evaluation.bic)
         if likeliest.evaluation.bic >= best.evaluation.bic:
             break
         best = likeliest
