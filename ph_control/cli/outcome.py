@@ -197,7 +197,7 @@ def guarded(run: Callable[[], int], *, traceback: bool = False) -> int:
         except Exception as error:
             if traceback:
                 raise
-            code, message = _told(error)
+            code, message = _status_and_message(error)
             complain(message)
             return code
 
@@ -210,7 +210,7 @@ def _code_of(run: Callable[[], int]) -> int:
         return stop.code if isinstance(stop.code, int) else DONE
 
 
-def _told(error: Exception) -> tuple[int, str]:
+def _status_and_message(error: Exception) -> tuple[int, str]:
     """Exit status and message of an error."""
     if isinstance(error, NotLosslessError) and error.is_refusal:
         return NO, in_shell_terms(str(error))

@@ -224,8 +224,8 @@ class _Variables:
         if not is_matlab(content, name):
             raise FileFormatError(f"{name} is not a .mat file; save it in MATLAB with the option '-v7'")
         self.name = name
-        self._found = dict(_flat(read_matlab(content, name), ""))
-        if not any(isinstance(value, np.ndarray) for value in self._found.values()):
+        self._variables = dict(_flat(read_matlab(content, name), ""))
+        if not any(isinstance(value, np.ndarray) for value in self._variables.values()):
             raise FileFormatError(f"{name} holds no arrays of numbers; save the measurement as arrays")
 
     def named(self, role: str, wanted: object) -> list[tuple[str, Array, int | None]]:
@@ -233,21 +233,21 @@ class _Variables:
         names = [wanted] if isinstance(wanted, str) else wanted
         if not isinstance(names, list | tuple) or not names or not all(isinstance(text, str) for text in names):
             raise StructureError(f"{role} is {_checks.shown(wanted)}; give the name of a variable, or a list of names")
-        return [self._one(role, text.strip()) for text in names]
+        return [self._variable(role, text.strip()) for text in names]
 
-    def _one(self, role: str, wanted: str) -> tuple[str, Array, int | None]:
+    def _variable(self, role: str, wanted: str) -> tuple[str, Array, int | None]:
         wanted = _FROM_ONE.sub(lambda match: f"[{','.join(str(int(k) - 1) for k in match[1].split(','))}]", wanted)
         bare, column = wanted, None
-        if wanted not in self._found and (match := _COLUMN.fullmatch(wanted)):
+        if wanted not in self._variables and (match := _COLUMN.fullmatch(wanted)):
             bare, column = match[1], int(match[2])
-        if bare not in self._found:
-            close = difflib.get_close_matches(bare, self._found, 1)
+        if bare not in self._variables:
+            close = difflib.get_close_matches(bare, self._variables, 1)
             hint = f"; did you mean {close[0]!r}?" if close else ""
             raise StructureError(
                 f"{self.name}: {role}: there is no variable {bare!r}; say which with {role}= (the file has "
-                f"{', '.join(list(self._found)[:30])}){hint}"
+                f"{', '.join(list(self._variables)[:30])}){hint}"
             )
-        value = self._found[bare]
+        value = self._variables[bare]
         if not isinstance(value, np.ndarray) or not value.size:
             raise FileFormatError(f"{self.name}: {bare} is {_kind(value)}; an array of numbers is needed")
         if column is not None and (value.ndim != 2 or column >= value.shape[1]):
@@ -258,12 +258,12 @@ class _Variables:
         """Instants, or None where a step takes their place."""
         instants = None if wanted is False else wanted
         if wanted is None and step is None:
-            instants = next((label for label in _TIMES if label in self._found), None)
+            instants = next((label for label in _TIMES if label in self._variables), None)
         if instants is None:
             if step is None:
                 raise StructureError(
                     f"{self.name}: no variable is the time; name it with time=, or give the time between samples with "
-                    f"dt= (the file has {', '.join(list(self._found)[:30])})"
+                    f"dt= (the file has {', '.join(list(self._variables)[:30])})"
                 )
             return None
         ((label, value, column),) = self.named("time", [instants])

@@ -293,7 +293,7 @@ def _matrices(
     """Frequency responses, as matrices, each with the place of its first function."""
     groups: list[tuple[int, Array, dict[tuple[str, str], _Function]]] = []
     for place, function in enumerate(functions):
-        if function.in_time or not _asked(outputs, function.response) or not _asked(inputs, function.reference):
+        if function.in_time or not _is_wanted(outputs, function.response) or not _is_wanted(inputs, function.reference):
             continue
         pair = function.response, function.reference
         group = next((g for g in groups if _same_axis(g[1], function.abscissa) and pair not in g[2]), None)
@@ -372,7 +372,7 @@ def _has_direction(label: str) -> bool:
     return label[-1] in "XYZ"
 
 
-def _asked(wanted: list[str] | None, label: str) -> bool:
+def _is_wanted(wanted: list[str] | None, label: str) -> bool:
     return wanted is None or label in wanted
 
 

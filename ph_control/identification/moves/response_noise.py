@@ -146,7 +146,7 @@ def _restricted_bic(fit: FreeFit) -> float:
         if isinstance(rows, FreeResponse):
             each = weights[rows.experiment][rows.outputs][:, rows.observed]
             if each.any():
-                logs += float(np.sum(each * _left(rows, fit.projection)))
+                logs += float(np.sum(each * _noise_share_left(rows, fit.projection)))
     return fit.criteria.bic - 2 * logs
 
 
@@ -225,7 +225,7 @@ def entry_laws(projection: FreeProjection) -> tuple[list[tuple[NoiseLaw, float]]
     search = Responses([response.every(step) for response, step in zip(every, steps, strict=True)])
     parts: list[list[_Points]] = [[] for _ in range(projection.shared.shape[1])]
     for rows, residuals, step in zip(search.data, search.residuals(projection), steps, strict=True):
-        spare = 1 - (1 - _left(rows, projection)) / step  # of all points each takes less
+        spare = 1 - (1 - _noise_share_left(rows, projection)) / step  # of all points each takes less
         for output, residual, target in zip(rows.outputs.tolist(), residuals, rows.target, strict=True):
             parts[output].append(_points(residual, target, rows.weight, spare))
     free = all(spare.min(initial=1.0) > _FREE for entry in parts for _, spare, _ in entry)
@@ -250,7 +250,7 @@ def _likeliest(parts: Sequence[_Points], entries: int = 1) -> tuple[NoiseLaw, fl
     return NoiseLaw(kind, float(np.sqrt(floor)), float(np.sqrt(share / unit))), more
 
 
-def _left(rows: FreeResponse, projection: FreeProjection) -> Array:
+def _noise_share_left(rows: FreeResponse, projection: FreeProjection) -> Array:
     """Share of the noise of each point that a fit leaves, shape (m,)."""
     columns = next(rows.evaluated(projection.p).blocks())[: -len(rows.outputs)]
     alone, together = _spare(columns[: -2 * len(projection.p)]), _spare(columns)
