@@ -213,12 +213,11 @@ class StructureCoordinates:
 
     def _factor(self, sections: Sections) -> ComplexArray:
         """`g`, shape (n, p, 1); of real poles half, as they are their own conjugates."""
-        p, differences = sections.p.copy(), np.empty(len(sections.p), complex)
+        p, differences = _nonzero(sections.p), np.empty(len(sections.p), complex)
         slow, fast = sections.places.T
         differences[fast] = np.where(sections.square > 0, 2j, -4.0) * sections.root
         real = sections.square <= 0
         differences[slow[real]] = 4.0 * sections.root[real]
-        p[sections.single] = _nonzero(p[sections.single])
         differences[sections.single] = 2.0 * p[sections.single]
         return (p[:, None] ** self.layout.powers / differences[:, None])[:, :, None]
 
