@@ -117,6 +117,7 @@ class _FittedLikelihood:
         counts, variances = _variances(experiments, free)
         samples, known = int(counts.sum()), counts > 0
         loglik = float(-0.5 * np.sum(counts[known] * (np.log(2 * np.pi * variances[known]) + 1)))
+        loglik += sum(_log_density(data) for data in experiments)
         if free.noise or free.beside is not None:  # that of the innovations, less what a structure costs
             loglik = free.criteria.loglik - 0.5 * (fit.loss - free.projection.loss) / free.variance
         # as variances are divided by it, they are none of the unknowns
@@ -163,6 +164,14 @@ def _variances(experiments: Sequence[FittedChannels], free: FreeFit) -> tuple[Ar
             losses = losses + np.sum(weights * np.abs(residuals) ** 2, axis=-1) / data.noise_scale**2
     divisor = np.maximum(np.ravel(counts), 1)
     return np.ravel(counts), np.maximum(np.ravel(losses), np.finfo(float).tiny * divisor) / divisor
+
+
+def _log_density(data: FittedChannels) -> float:
+    """Logarithm of the density of responses over that of their weighted values."""
+    if not isinstance(data.record, ResponseMatrix) or data.record.errors is not None:
+        return 0.0
+    weighted = data.record.observed & (data.record.weights > 0)
+    return float(np.log(data.record.weights[weighted]).sum())
 
 
 def _fitted_channels(structure: FittedStructure) -> tuple[FittedChannels, ...]:

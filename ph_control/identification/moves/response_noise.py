@@ -128,16 +128,8 @@ class _Refits:
         return path
 
 
-def _weighted_bic(fit: FreeFit) -> float:
-    """Return the BIC with the density of the noise where it has these weights: two real numbers at each point."""
-    logs = [np.log(_relative_weights(channel)).reshape(channel.observed.shape) for channel in fit.channels]
-    return fit.criteria.bic - 2 * sum(
-        float(np.sum(each[channel.observed])) for each, channel in zip(logs, fit.channels, strict=True)
-    )
-
-
 def _restricted_bic(fit: FreeFit) -> float:
-    """Return the same, each point counted as far as the fit leaves its noise: one that it goes through tells of none.
+    """Return the BIC, each point counted as far as the fit leaves its noise: one that it goes through tells of none.
 
     So it has the derivative of the restricted likelihood by the weights.
     """
@@ -146,8 +138,8 @@ def _restricted_bic(fit: FreeFit) -> float:
         if isinstance(rows, FreeResponse):
             each = weights[rows.experiment][rows.outputs][:, rows.observed]
             if each.any():
-                logs += float(np.sum(each * _noise_share_left(rows, fit.projection)))
-    return fit.criteria.bic - 2 * logs
+                logs += float(np.sum(each * (1 - _noise_share_left(rows, fit.projection))))
+    return fit.criteria.bic + 2 * logs
 
 
 def _relative_weights(channel: ResponseMatrix) -> Array:
@@ -599,7 +591,7 @@ def _without_errors(whole: FreeFit, channels: Sequence[ResponseMatrix], among: C
         return whole
     start = calm.projection.p
     fits = [leaving([each], **order, start=start) for each in sorted(nearest)]
-    return min((fit for fit in fits if fit is not whole), key=_weighted_bic, default=whole)
+    return min((fit for fit in fits if fit is not whole), key=lambda fit: fit.criteria.bic, default=whole)
 
 
 def _of_single_lines(fit: FreeFit, channels: Sequence[ResponseMatrix]) -> dict[int, Place]:
@@ -630,7 +622,7 @@ def _effects(projection: FreeProjection, channels: Sequence[ResponseMatrix]) -> 
 
 def _is_likelier_without(whole: FreeFit, calm: FreeFit, lines: Sequence[Indices]) -> bool:
     """Return whether the BIC prefers values of their own at some lines to a fit to all."""
-    return _weighted_bic(whole) > _weighted_bic(calm) + _cost_of_lines(whole, lines)
+    return whole.criteria.bic > calm.criteria.bic + _cost_of_lines(whole, lines)
 
 
 def _leaving_out(calm: FreeFit, lines: Sequence[Indices]) -> FreeFit:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar, NamedTuple
@@ -249,6 +249,12 @@ class FreeResponse:
         least = EPS * np.maximum(np.abs(poles), self.bin)
         ahead, behind = (np.where(gap == 0, least, gap) for gap in (s - poles, s - poles.conj()))
         return Peaks(np.asarray(1.0 / ahead, complex), np.asarray(1.0 / behind, complex))
+
+
+def log_weights(experiments: Iterable[object]) -> float:
+    """Return the logarithm of the density of responses over that of their rows, where each point has a weight."""
+    rows = [each for each in experiments if isinstance(each, FreeResponse) and each.white is None]
+    return float(sum(2 * len(each.outputs) * np.log(each.weight[each.weight > 0]).sum() for each in rows))
 
 
 def terms_in(coefficients: ComplexArray) -> tuple[Term, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from ..._units import feels_force
 from ...exceptions import IdentificationError
 from ..data.channels import Recording, ResponseMatrix
 from ..regression.free import FreeProjection, Lateness, refine_free
-from ..regression.frequency_rows import FreeResponse
+from ..regression.frequency_rows import FreeResponse, log_weights
 from ..regression.sections import PoleRegion, Sections
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
@@ -190,7 +191,11 @@ class FreePath:
     def loglik(self, losses: Array) -> float:
         """Log-likelihood at the best variances."""
         variances = np.maximum(losses, self.floors) / self.counts
-        return float(-0.5 * np.sum(self.counts * (np.log(2 * np.pi * variances) + 1)))
+        return float(-0.5 * np.sum(self.counts * (np.log(2 * np.pi * variances) + 1))) + self._log_weights
+
+    @cached_property
+    def _log_weights(self) -> float:
+        return log_weights(self.plain.data)
 
     def criteria(self, loglik: float, unknowns: int) -> Criteria:
         """Criteria of a model with so many unknowns beside the variances."""
