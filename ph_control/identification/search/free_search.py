@@ -654,7 +654,8 @@ class Responses(FreeSearch):
         Entries are eliminated one by one as Deschrijver and others do.
         """
         region = self.region
-        places = np.linspace(region.bin, max(rows.ceiling for rows in self.data), count)
+        omega = np.sort(np.concatenate([rows.omega for rows in self.data]))
+        places = np.maximum(np.quantile(omega, np.linspace(0.0, 1.0, count)), region.bin)  # as close as the points are
         p = np.asarray(places * (1j - _CROWDED), complex)
         for _ in range(_RELOCATIONS):
             kept = np.append(np.ones(len(p), bool), p.imag > 0)  # a real pole has no imaginary part of a residue
