@@ -209,6 +209,7 @@ def _with_lag(path: FreePath, model: FreeModel, most: int) -> FreeModel | None:
         return None
     if not given and not path.search.shows_background(len(model.p) + 1):
         return None
+    path.resume(model)
     pole, gain = path.scaled.lag(model.projection, yielding=not path.is_white(model))
     p = np.append(model.p, pole)
     if path.search.unknowns_of(p) >= path.counts.sum() or path.is_exact(model) or path.crowded:
@@ -240,6 +241,7 @@ def candidates(path: FreePath, model: FreeModel, every: bool = False) -> tuple[C
     """Return poles that stand out of what is left, the strongest first, or `every`: gains of what does not are 0."""
     if path.shown is not None and path.shown[0] is model and not every:
         return path.shown[1]
+    path.resume(model)
     if path.crowded:  # none stands out by itself
         return np.zeros(0, complex), np.zeros(0)
     if isinstance(path.search, Responses) and path.search.classical:
@@ -414,13 +416,19 @@ def _relocated(path: FreePath, model: FreeModel, sound: bool, most: int) -> Free
 
 
 def _patched(path: FreePath, model: FreeModel, most: int) -> FreeModel:
-    """Let modes join that are close to others, or broad, where they leave white residuals and others do not."""
+    """Let modes join that are close to others, or broad, where they leave white residuals and others do not.
+
+    Residuals of few modes may pass for white as well, where another is far likelier.
+    """
     more = model
     for _ in range(TUNING.patches):
         p, gains = candidates(path, more)
-        if not gains.any() or count_modes(more.p) >= most or path.is_exact(more) or path.is_white(more):
+        if not gains.any() or count_modes(more.p) >= most or path.is_exact(more):
             break
-        more = path.reweighted(path.model(np.append(more.p, p[0])))
+        trial = path.reweighted(path.model(np.append(more.p, p[0])))
+        if path.is_white(more) and path.cost(trial) > path.cost(more) - 2 * TUNING.likely:
+            break
+        more = trial
     if more is model or not path.is_white(more):
         return model
     more = pruned(path, _relocated(path, more, False, most))
@@ -499,4 +507,5 @@ def _of_common_denominator(path: FreePath, model: FreeModel, most: int, automati
         return best
     path.search = plain
     path.weigh(model.losses)
-    return None
+    other = path.reweighted(path.model(apart.p)) if automatic else model
+    return other if path.cost(other) < path.cost(model) else None

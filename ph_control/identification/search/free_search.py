@@ -69,6 +69,7 @@ class FreeModel:
     residuals: Residuals
     losses: Array
     search: FreeSearch | None = None  # in whose rows these are
+    sizes: Array | None = None  # what outputs were multiplied by in these
 
     @cached_property
     def noise(self) -> list[NoiseOrders]:

@@ -188,6 +188,13 @@ class FreePath:
         self.sizes, self.shown = np.sqrt(self.counts / np.maximum(losses, self.floors)), None
         self.scaled = self.search.scaled(self.sizes)
 
+    def resume(self, model: FreeModel) -> None:
+        """Give outputs the weights that a model has, where another was tried since then in the same rows."""
+        other = model.sizes is not None and not np.array_equal(model.sizes, self.sizes)
+        if other and _same_filters(model.innovations, self.innovations):
+            self.sizes, self.shown = np.asarray(model.sizes), None
+            self.scaled = self.search.scaled(self.sizes)
+
     def loglik(self, losses: Array) -> float:
         """Log-likelihood at the best variances."""
         variances = np.maximum(losses, self.floors) / self.counts
@@ -314,7 +321,7 @@ class FreePath:
     def judged(self, projection: FreeProjection) -> FreeModel:
         """Enter modes with what they leave into the table, and return them."""
         model, n = self.scaled.model(projection), count_modes(projection.p)
-        model = replace(model, losses=self.in_data(model.losses))
+        model = replace(model, losses=self.in_data(model.losses), sizes=self.sizes)
         criteria = self.criteria(self.loglik(model.losses), self.unknowns_of(projection.p))
         if n not in self.table or self.table[n].loglik < criteria.loglik:
             modes = projection.p.imag > 0
