@@ -1,11 +1,12 @@
-"""Monte Carlo of fits to frequency responses: order, coverage, narrow minima, outliers, damping, and windows.
+"""Monte Carlo of fits to responses: order, coverage, narrow minima, outliers, damping, windows, dead time.
 
-python -m benchmarks.responses order|coverage|trap|outlier|damping|window [--seeds N]
+python -m benchmarks.responses order|coverage|trap|outlier|damping|window|late [--seeds N]
 """
 
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -257,8 +258,54 @@ def window(seeds: int) -> None:
         )
 
 
+def late_plant(seed: int) -> tuple[Any, int, Array, float]:
+    """Response of a random plant with dead time: lags and modes of any gains, some outputs; modes, rates, and delay.
+
+    At the last point the delay turns the phase by a third of a radian to five turns.
+    """
+    rng = np.random.default_rng([seed, 17])
+    outputs, modes = int(rng.choice([1, 1, 2, 3])), int(rng.integers(0, 4))
+    omega = np.linspace(0.2, 16.0, 240) if rng.random() < 0.5 else np.geomspace(0.1, 24.0, 160)
+    rates = np.sort(np.exp(rng.uniform(np.log(0.2), np.log(5.0), 3)))[: int(rng.integers(modes == 0, 3))]
+    delay = float(np.exp(rng.uniform(np.log(0.3), np.log(30.0)))) / omega[-1]
+    s = 1j * omega
+    exact = np.zeros((outputs, len(omega)), complex)
+    for rate in rates:
+        exact += rng.standard_normal(outputs)[:, None] * rate / (s + rate)
+    for frequency in np.exp(rng.uniform(np.log(0.6), np.log(12.0), modes)):
+        width = np.exp(rng.uniform(np.log(0.003), np.log(0.05))) * frequency
+        exact += 0.3 * rng.standard_normal(outputs)[:, None] * frequency * s / (s * s + 2 * width * s + frequency**2)
+    exact *= np.exp(-s * delay)
+    errors = rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape)
+    size = np.exp(rng.uniform(np.log(0.002), np.log(0.03)))
+    seen = exact + size * np.sqrt(np.mean(np.abs(exact) ** 2, axis=1, keepdims=True)) * errors
+    return ct.frd(seen[:, None], omega, smooth=False), modes, rates, delay
+
+
+def late(seeds: int) -> None:
+    """How often modes and lags are as many as with the delay given, and whether the errors of delays hold."""
+    same, on_time, z, seconds = 0, 0, [], 0.0
+    for seed in range(seeds):
+        data, _, _, delay = late_plant(seed)
+        start = time.process_time()
+        fit = phc.pem(data)
+        seconds += time.process_time() - start
+        known, without = phc.pem(data, delay=delay), phc.pem(data, delay=0.0)
+        numbers = [(each.order, len(each.real_poles)) for each in (known, fit, without)]
+        same, on_time = same + (numbers[0] == numbers[1]), on_time + (numbers[0] == numbers[2])
+        if np.all(np.isfinite(fit.stderr["delay"])) and np.ptp(fit.delay) == 0 < fit.delay[0]:
+            z.append(float((fit.delay[0] - delay) / fit.stderr["delay"][0]))
+    inside = 100 * np.mean(np.abs(z) < 1.96)
+    print(
+        f"modes and lags as with the delay given in {same} of {seeds}, without one in {on_time}; delay found with its "
+        f"error in {len(z)}: z2 {np.mean(np.square(z)):.2f}, inside 95 % {inside:.0f} %; {seconds / seeds:.2f} s each",
+        flush=True,
+    )
+
+
 STUDIES = {
     "order": order, "coverage": coverage, "trap": trap, "outlier": outlier, "damping": damping, "window": window,
+    "late": late,
 }  # fmt: skip
 
 

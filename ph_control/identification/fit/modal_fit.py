@@ -34,6 +34,7 @@ from ..search.fitted_modes import FreeFit, Orders
 from ..structure.choice import Choice, Request
 from ..structure.hypothesis_tests import is_refused
 from ..structure.late_outputs import WithDelay, under_hold_and_delays
+from ..structure.late_responses import with_shown_delay
 from ..uncertainty.noise_model import NoiseModel
 from ..uncertainty.residual_tests import is_white
 from .judgement import Evidence, message_of
@@ -106,15 +107,16 @@ def _of_modes_and_inputs(
     automatic, certain = isinstance(order, str), options.noise in KINDS
     latest = beside_disturbances(searched(channels), searched, refined, automatic, certain)
     search, moving = search_in(latest.channels), latest.moving
-    free = replace(
-        latest.free, findings=(*latest.findings, *latest.free.findings, *_about_order(latest.free, order, options))
-    )
 
     def with_delay(late: Lateness) -> FreeFit:
         # that outputs come late is no sign of forces where there was none of these before
-        noise = {} if free.beside is not None or options.noise in KINDS else {"beside": alone}
+        noise = {} if latest.free.beside is not None or options.noise in KINDS else {"beside": alone}
         return search(order, start=start, moving=moving, delay=late.outputs, input_delay=late.inputs, **noise)
 
+    free = latest.free
+    if options.delay is None:
+        free = with_shown_delay(free, request.quantities, with_delay)
+    free = replace(free, findings=(*latest.findings, *free.findings, *_about_order(free, order, options)))
     result = _structured(free, request, findings, with_delay)
     while options.reachable and result.success and 0 < np.sum(result.kappa > 0) < result.order:
         free = free if free.rival is None or free.intersample == result.intersample else free.rival

@@ -151,8 +151,9 @@ def pem(
     delay : 'auto', or float, or sequence of float, one for each output
         Time by which outputs come later than the response to the inputs, or earlier where it is negative: that of an
         anti-aliasing filter, of sampling one channel after the other, or dead time.  'auto' estimates one of all
-        outputs, or one of each, where a structure or the first samples of the answer show it, in parts of a sample
-        where the data tell these, with its error as `stderr["delay"]`: NaN where only whole samples are told.
+        outputs, or one of each, where a structure, the first samples of the answer, or heavily damped poles of a
+        response show it, in parts of a sample where the data tell these, with its error as `stderr["delay"]`: NaN where
+        only whole samples are told, or the structure is passive.
     input_delay : 'auto', or float, or sequence of float, one for each input
         Dead times of several inputs: the time by which each acts later than it was recorded, in whole samples of the
         recordings.  'auto' finds those that differ between inputs where `delay` is 'auto' as well; what all inputs have
