@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 from scipy.optimize import least_squares
+from slow import slowly
 
 import ph_control as phc
 from ph_control import StructureError
@@ -337,3 +338,28 @@ def test_parameters_that_were_given_are_not_changed():
     start = np.full(3, 95.0)
     phc.pem(record(samples=300), 3, dt=DT, quantity="displacement", model=chain, parameters=start)
     assert np.array_equal(start, np.full(3, 95.0))
+
+
+def windy(seed, colour, samples=1200):
+    """A record of the chain beside a force on the second mass that nobody measured, with a third of its motion."""
+    rng = np.random.default_rng([seed, 5])
+    plant = chain(SPRINGS)
+    other = ct.ss(plant.A, np.array([[0, 0, 0, 0, 1.0, 0]]).T, plant.C, np.zeros((3, 1)))
+    u, wind = rng.standard_normal((1, samples)), rng.standard_normal((1, samples))
+    for k in range(1, samples):
+        wind[0, k] += colour * wind[0, k - 1]
+    y, moved = simulated(plant, u, np.zeros(6)), simulated(other, wind, np.zeros(6))
+    y = y + 0.3 * moved * y.std() / moved.std()
+    return u[0], y + 0.02 * y.std() * rng.standard_normal(y.shape)
+
+
+@pytest.mark.parametrize("colour", [0.0, *slowly(0.9)])
+@pytest.mark.parametrize("seed", [0, *slowly(1, 2)])
+def test_springs_are_found_beside_forces_that_nobody_measured(seed, colour):
+    result = phc.pem(
+        windy(seed, colour), dt=DT, quantity="displacement", intersample="zoh", model=chain, parameters=np.full(3, 80.0)
+    )
+    assert [finding.cause.name for finding in result.findings] == ["FORCES"]
+    assert np.all(np.abs(deviations(result, SPRINGS)) < 4)
+    assert np.all(result.stderr["parameters"] < 0.01 * SPRINGS)
+    assert result.tests[0].p > 1e-3
