@@ -114,7 +114,7 @@ def _of_modes_and_inputs(
         return search(order, start=start, moving=moving, delay=late.outputs, input_delay=late.inputs, **noise)
 
     free = latest.free
-    if options.delay is None:
+    if options.delay is None and request.function is None and request.structure != "passive":
         free = with_shown_delay(free, request.quantities, with_delay)
     free = replace(free, findings=(*latest.findings, *free.findings, *_about_order(free, order, options)))
     result = _structured(free, request, findings, with_delay)
