@@ -359,7 +359,7 @@ def test_springs_are_found_beside_forces_that_nobody_measured(seed, colour):
     result = phc.pem(
         windy(seed, colour), dt=DT, quantity="displacement", intersample="zoh", model=chain, parameters=np.full(3, 80.0)
     )
-    assert [finding.cause.name for finding in result.findings] == ["FORCES"]
+    assert "FORCES" in [finding.cause.name for finding in result.findings]
     assert np.all(np.abs(deviations(result, SPRINGS)) < 4)
     assert np.all(result.stderr["parameters"] < 0.01 * SPRINGS)
     assert result.tests[0].p > 1e-3
