@@ -86,18 +86,23 @@ class _LateModels:
     def _on_grid(self, p: ComplexArray, alone: bool) -> float:
         """Return the delay that is likeliest beside some poles as they are."""
         fed = self._felt if alone else self.fit.projection.fed
-        losses = [np.log(FreeProjection(rows, p, fed).losses).sum() for rows in self._delayed[alone]]
-        return self._grid[int(np.argmin(losses))]
+        fed = None if fed is None else np.tile(fed, (len(self._grid), 1))
+        losses = FreeProjection(self._delayed[alone], p, fed).losses.reshape(len(self._grid), -1)
+        return self._grid[int(np.argmin(np.log(losses).sum(axis=1)))]
 
     @cached_property
-    def _delayed(self) -> dict[bool, list[list[FreeResponse]]]:
-        """Some of the points with each delay of the grid, beside the background of the fit and without it."""
-        some = [rows.every(1 + rows.samples // (2 * _POINTS)) for rows in self.rows]
-        bare = [replace(rows, terms=()) for rows in some]
-        return {
-            alone: [[rows.delayed(delay) for rows in each] for delay in self._grid]
-            for alone, each in ((False, some), (True, bare))
-        }
+    def _delayed(self) -> dict[bool, list[FreeResponse]]:
+        """Some of the points, as other entries with each delay of the grid; on the background of the fit or without it.
+
+        All delays share the columns of some poles.
+        """
+        count, turned = len(self.fit.scales), list[FreeResponse]()
+        for rows in self.rows:
+            some = rows.every(1 + rows.samples // (2 * _POINTS))
+            early = [some.response * np.exp(1j * some.frequencies * delay) for delay in self._grid]
+            outputs = [some.outputs + place * count for place in range(len(self._grid))]
+            turned.append(replace(some, response=np.concatenate(early), outputs=np.concatenate(outputs), delay=None))
+        return {False: turned, True: [replace(rows, terms=()) for rows in turned]}
 
     @cached_property
     def _felt(self) -> Mask:
