@@ -258,8 +258,8 @@ def window(seeds: int) -> None:
         )
 
 
-def late_plant(seed: int) -> tuple[Any, int, Array, float]:
-    """Response of a random plant with dead time: lags and modes of any gains, some outputs; modes, rates, and delay.
+def late_plant(seed: int) -> tuple[Any, float]:
+    """Response of a random plant with dead time: lags and modes of any gains, some outputs; and the delay.
 
     At the last point the delay turns the phase by a third of a radian to five turns.
     """
@@ -279,14 +279,14 @@ def late_plant(seed: int) -> tuple[Any, int, Array, float]:
     errors = rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape)
     size = np.exp(rng.uniform(np.log(0.002), np.log(0.03)))
     seen = exact + size * np.sqrt(np.mean(np.abs(exact) ** 2, axis=1, keepdims=True)) * errors
-    return ct.frd(seen[:, None], omega, smooth=False), modes, rates, delay
+    return ct.frd(seen[:, None], omega, smooth=False), delay
 
 
 def late(seeds: int) -> None:
     """How often modes and lags are as many as with the delay given, and whether the errors of delays hold."""
     same, on_time, z, seconds = 0, 0, [], 0.0
     for seed in range(seeds):
-        data, _, _, delay = late_plant(seed)
+        data, delay = late_plant(seed)
         start = time.process_time()
         fit = phc.pem(data)
         seconds += time.process_time() - start

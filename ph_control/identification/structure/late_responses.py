@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from ..._types import ComplexArray, Mask
 from ..growth.ending import settled
 from ..moves.delays import are_heavy
 from ..regression.free import Delays, FreeProjection, Lateness
-from ..regression.frequency_rows import FreeResponse
+from ..regression.frequency_rows import FreeResponse, typical_distance
 from ..regression.tuning import TUNING
 from ..search.channel_rows import RowOptions
 from ..search.fitted_modes import FreeFit
@@ -81,7 +82,7 @@ class _LateModels:
         heavy = heavy[np.argsort(np.abs(p[heavy]))]
         starts = [np.delete(p, heavy[kept:]) for kept in range(min(len(heavy), _STANDING) + 1)]
         pairs = product(starts, (False, True))
-        return min((self._refined(self._on_grid(*pair), *pair, _FEW) for pair in pairs), key=_bic_of)
+        return min((self._refined(self._on_grid(*pair), *pair, _FEW) for pair in pairs), key=attrgetter("bic"))
 
     def _on_grid(self, p: ComplexArray, alone: bool) -> float:
         """Return the delay that is likeliest beside some poles as they are."""
@@ -120,7 +121,7 @@ class _LateModels:
     def _grid(self) -> list[float]:
         """Return delays up to the longest that is looked for."""
         omega = [rows.omega for rows in self.rows]
-        turned = min(_BETWEEN * each[-1] / float(np.median(np.diff(each)[len(each) // 2 :])) for each in omega)
+        turned = min(_BETWEEN * each[-1] / typical_distance(each[len(each) // 2 :]) for each in omega)
         return [self.step * place for place in range(int(min(turned, _LONGEST) / _TURN) + 1)]
 
     def _refined(self, delay: float, p: ComplexArray, alone: bool, iterations: int | None) -> _Late:
@@ -138,10 +139,6 @@ class _LateModels:
         unknowns = path.unknowns_of(late.p) - (0 if fed is None else int(np.sum(~fed))) + 1
         bic = path.criteria(path.loglik(path.in_data(late.projection.losses)), unknowns).bic
         return _Late(bic, float(delays.values[0] if late.delays is None else late.delays.values[0]), late.p, alone)
-
-
-def _bic_of(late: _Late) -> float:
-    return late.bic
 
 
 def _drop_background(path: FreePath) -> None:
