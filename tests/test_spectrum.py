@@ -169,7 +169,7 @@ def test_missing_outputs_count_as_what_is_put_in_their_place():
 
 @pytest.mark.parametrize("driven", [True, False])
 def test_window_holds_the_bins_about_the_modes_and_never_the_constant(driven):
-    record, _ = record_of(4000, driven=driven)
+    record, _ = record_of(16000, driven=driven)
     spectrum = ChannelSpectra.of(record)
     window = FreeWindow.thinned(spectrum, 1j * frequencies(record, [1.2, 900.3]))
     assert {1, 2, 3, 899, 900, 901} <= set(window.bins.tolist()) and window.bins[0] == 1

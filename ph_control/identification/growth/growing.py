@@ -40,7 +40,7 @@ def chosen(path: FreePath, start: ComplexArray, most: int, automatic: bool) -> F
     # noise of a model that is too small has what this lacks: in its rows others are looked for, and from nothing
     models = [path.in_its_noise(model)]
     if path.options.real_poles == "auto":
-        models.append(_in_rows(path, models[0].p, most, automatic))
+        models.append(path.in_its_noise(_in_rows(path, models[0].p, most, automatic)))
     return min([*models, _joint(path, start, most, automatic)], key=path.cost)
 
 
@@ -210,7 +210,9 @@ def _with_lag(path: FreePath, model: FreeModel, most: int) -> FreeModel | None:
     if not given and not path.search.shows_background(len(model.p) + 1):
         return None
     path.resume(model)
-    pole, gain = path.scaled.lag(model.projection, yielding=not path.is_white(model))
+    # two lags that together leave a response white, as those of a capacitor that is not ideal, are better one
+    yielding = isinstance(path.plain, Records) or not path.is_white(model)
+    pole, gain = path.scaled.lag(model.projection, yielding)
     p = np.append(model.p, pole)
     if path.search.unknowns_of(p) >= path.counts.sum() or path.is_exact(model) or path.crowded:
         return None
@@ -392,8 +394,10 @@ def _alike(projection: FreeProjection) -> Mask:
 
 def _improved(path: FreePath, model: FreeModel, most: int, automatic: bool) -> FreeModel:
     """Relocate weak modes of a model and, of an order that is chosen, drop needless ones."""
-    best = _relocated(path, model, automatic, most)
-    return _without_slow_noise(path, _patched(path, pruned(path, best), most)) if automatic else best
+    model = _relocated(path, model, automatic, most)
+    if not automatic:
+        return model
+    return _without_slow_noise(path, _split(path, _patched(path, pruned(path, model), most), most))
 
 
 def _relocated(path: FreePath, model: FreeModel, sound: bool, most: int) -> FreeModel:
@@ -434,6 +438,23 @@ def _patched(path: FreePath, model: FreeModel, most: int) -> FreeModel:
     more = pruned(path, _relocated(path, more, False, most))
     better = path.is_white(more) and path.cost(more) < path.cost(model)
     return more if better and not grows(path, more) else model
+
+
+def _split(path: FreePath, model: FreeModel, most: int) -> FreeModel:
+    """Let a peak of one channel be two modes where that is far likelier: what a second one does there never stands out.
+
+    To first order this is what moves the first; coloured noise takes over the rest.
+    """
+    if len(path.counts) * max(1, model.projection.inputs) > 1:
+        return model
+    while count_modes(model.p) < most and path.noise_filters(model) and not path.is_exact(model):
+        peaks = model.p[(model.p.imag > 0) & ~are_broad(model.p)]
+        trials = [path.reweighted(path.model(np.append(model.p, pole + 1j * pole.real))) for pole in peaks]
+        other = min(trials, key=path.cost, default=model)
+        if path.cost(other) > path.cost(model) - 2 * TUNING.likely or grows(path, other):
+            break
+        model = other
+    return model
 
 
 def _without_slow_noise(path: FreePath, model: FreeModel) -> FreeModel:

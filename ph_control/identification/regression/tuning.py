@@ -27,7 +27,7 @@ class Tuning:
 
     # --- where modes are looked for
     half_width: int = 12  # bins on either side of a mode, and as many half-widths of the peak of a damped one
-    thinned: int = 256  # bins about a damped mode, at most
+    thinned: int = 1024  # bins about a damped mode, at most
     everywhere: int = 100  # bins between these
     all_over: int = 1024  # bins that show what has no peak
     in_time: int = 1500  # samples up to which every step is refined in time; of longer records the bins do
