@@ -30,6 +30,7 @@ from .whitening import autoregression, correlations
 _WIDTHS = 4  # half-widths of a mode that the half of its window has, at least
 _ROUNDS = 3  # of the local problem, weighted with the pole found
 _LEAST = 3  # bins: half-width of the narrowest window
+_WIDE = (96, 384, 1536)  # half-widths of the windows, in bins, of peaks that much noise hides
 _EVERYWHERE = 1 << 12  # bins up to which all are centres of windows, and rows; above, those where most is left
 _PEAKS = 200
 _ABOUNDING = 10  # points, and four for each pole: with fewer a real pole may stand for modes outside the band
@@ -396,8 +397,23 @@ class Channels:
             bins = np.arange(1, self._last + 1)
             p = np.asarray(np.nan + 2j * np.pi / (self.length * self.hold.h) * bins, complex)
             return p, np.asarray(2.0 / self.length * np.sum(np.abs(residuals[:, bins]) ** 2, axis=0))
-        windows = _windows(residuals, 1, self._last, 0.5 * self.length * least)
-        return _joined([self._local(residuals, half, centres) for half, centres in windows])
+        count, square = self._last, 0.5 * self.length * least
+        windows = _windows(residuals, 1, count, square, TUNING.widths_of_peaks)
+        p, gain = _joined([self._local(residuals, half, centres) for half, centres in windows])
+        if np.any(gain > least):
+            return p, gain
+        # noise pulls the poles of wide peaks away, whose flanks stand out as well
+        windows = _windows(residuals, 1, count, square, _WIDE)
+        middles = (self._middle(half, centres) for half, centres in windows)
+        wide, gains = _joined([(middle, self.gains(residuals, middle)) for middle in middles])
+        best = np.argsort(-gains)[:1]
+        return _joined([(p, gain), (wide[best], gains[best])])
+
+    def _middle(self, half: int, centres: Indices) -> ComplexArray:
+        """Poles of peaks as wide as a window about each bin may have."""
+        turn = 2 * np.pi / (self.length * self.hold.h)
+        p = turn * (1j * centres - half / _WIDTHS)
+        return np.asarray(p[p.imag < self.ceiling])
 
     def peak(self, residuals: ComplexArray, place: float) -> tuple[float, float]:
         """Half-width of one mode within the narrowest window about a place (in bins), and its share of the power."""
@@ -423,7 +439,7 @@ class Channels:
         if most < _LEAST:
             nearest = np.clip(np.rint(place).astype(int), 1, self._last)
             return np.asarray(2.0 / self.length * np.sum(np.abs(residuals[:, nearest]) ** 2, axis=0))
-        halves = np.array([min(half, most) for half in TUNING.widths_of_peaks])
+        halves = np.array([min(half, most) for half in sorted({*TUNING.widths_of_peaks, *_WIDE})])
         halves = halves[np.minimum(np.searchsorted(halves, _WIDTHS * width), len(halves) - 1)]
         for half in np.unique(halves).tolist():
             these = np.flatnonzero(halves == half)
@@ -482,13 +498,15 @@ def local_modes(E: ComplexArray, inputs: ComplexArray, s: ComplexArray, half: Ar
     return pole, np.sum(products.conj() * solved, axis=(1, 2)).real
 
 
-def _windows(residuals: ComplexArray, first: int, count: int, least: float) -> Iterator[tuple[int, Indices]]:
+def _windows(
+    residuals: ComplexArray, first: int, count: int, least: float, widths: Sequence[int]
+) -> Iterator[tuple[int, Indices]]:
     """Half-widths and centres of windows of several widths among so many columns of what is left, some at a time.
 
     No mode explains more of a window than there is in it: those with a square of less than the `least` are left out.
     """
     total = np.concatenate([[0.0], np.cumsum(np.sum(np.abs(residuals) ** 2, axis=0))])
-    for half in TUNING.widths_of_peaks:
+    for half in widths:
         if 4 * half > count and half > TUNING.widths_of_peaks[0]:
             return
         half = min(half, (count - 1) // 2)
@@ -703,7 +721,7 @@ def _modes_of_lines(omega: Array, residuals: ComplexArray, weight: Array, least:
 
     Each beside a straight line, within a window of so many points, which need not be equidistant.
     """
-    windows = _windows(residuals * weight, 0, len(omega), least)
+    windows = _windows(residuals * weight, 0, len(omega), least, TUNING.widths_of_peaks)
     return _joined([_local_lines(omega, residuals, weight, half, centres) for half, centres in windows])
 
 
