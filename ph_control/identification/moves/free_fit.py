@@ -71,11 +71,15 @@ def free_fit(
     """
     given = Assumptions(**assumptions)
     fit = _fitted(channels, order, given, start)
-    grows = np.any(fit.projection.p.real > TUNING.slowest_growth * fit.region.bin)
     # a pole that grows may stand for a part of what is more than white noise
-    if start is None and grows and not (fit.interrupted or fit.leaves_white_noise):
+    if start is None and _grows(fit) and not (fit.interrupted or fit.leaves_white_noise):
         return _or_of_decaying_poles(fit, channels, order, given)
     return fit
+
+
+def _grows(fit: FreeFit) -> bool:
+    """Whether a pole grows more than errors of those that do not decay may have it."""
+    return bool(np.any(fit.projection.p.real > TUNING.slowest_growth * fit.region.bin))
 
 
 def _or_of_decaying_poles(fit: FreeFit, channels: Experiments, order: int | str, given: Assumptions) -> FreeFit:
@@ -159,6 +163,8 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
         lags = assumptions.delay is None and bool(np.all(are_heavy(forced.projection.p)))
         return _or_late(forced, fit, search) if lags or (open_delay and not search.automatic) else forced
     in_white_noise = _beside_all_else(fit.with_delay_open(open_delay), search)
+    if _grows(in_white_noise) and not (search.automatic or fit.noise):
+        return _or_in_residual_noise(in_white_noise, path, open_delay, search)
     return in_white_noise if forced.beside is None else _in_likelier_rows(forced, in_white_noise, in_noise, search)
 
 
@@ -238,6 +244,18 @@ def _beside_noise(fit: FreeFit, in_noise: InNoise, search: Search) -> FreeFit:
         if drifting is not fit and drifting.leaves_white_noise:
             return fit
     return in_noise(fit)
+
+
+def _or_in_residual_noise(fit: FreeFit, path: FreePath, open_delay: bool, search: Search) -> FreeFit:
+    """Return a fit of a given order, or the likelier one in the noise that residuals of the path show at each output.
+
+    Poles that grow may be what is too many for the plant, in white noise of what is slow in the noise.
+    """
+    filters = () if path.best is None or fit.interrupted else path.noise_filters(path.best)
+    if not filters:
+        return fit
+    coloured = _beside_all_else(_in_own_noise(fit, filters, search).with_delay_open(open_delay), search)
+    return coloured if coloured.interrupted or coloured.criteria.bic < fit.criteria.bic else fit
 
 
 def _or_in_own_noise(fit: FreeFit, forced: FreeFit, search: Search) -> tuple[FreeFit, FreeFit, FreeFit | None]:
@@ -353,9 +371,9 @@ def _from_peaks(fit: FreeFit, path: FreePath, search: Search) -> FreeFit:
 def _in_own_noise(fit: FreeFit, filters: tuple[Array, ...], search: Search) -> FreeFit:
     """Fit modes that grow together with coloured noise of each output, if that is likelier.
 
-    Beside constants: in white noise slow poles may have stood for them.
+    Beside constants where the order is open: in white noise slow poles may have stood for them.
     """
-    path = search.path(fit.channels)
+    path = search.path(fit.channels, terms=None if search.automatic else fit.offset)
     path.whiten(filters, path.power)
     again = search.along(path, fit.channels)
     return again if again.interrupted or again.criteria.bic < fit.criteria.bic else fit
