@@ -211,7 +211,8 @@ def _of_recording(structure: FittedStructure, channel: Recording, rows: _Rows) -
             predicted = np.multiply(values, scale[:, None], out=values if values.flags.writeable else None)
         else:
             predicted[which] = values * scale[:, None]
-        predicted[which] += np.broadcast_to(channel.hum, predicted.shape)[which]
+        if np.any(channel.hum):
+            predicted[which] += np.broadcast_to(channel.hum, predicted.shape)[which]
     return FittedChannels(
         channel.original, motion, offsets, drifts, predicted, offset_stderr=errors, noise_scale=channel.unit
     )

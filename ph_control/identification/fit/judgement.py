@@ -55,6 +55,7 @@ _COUNTED = 400_000  # samples times unknowns up to which these are felt by the t
 _SAME = 1e-12  # share of the power by which two columns may differ, as rounding in print makes them
 _BROAD = 0.4  # flatness of the spectrum of a test signal
 _RESONANT = 4.0  # times flatter than what answers to it
+_LONGEST = 1 << 20  # samples that show whether a signal is broad
 _BLOCKS = 16  # of a record, over which its spectrum is averaged
 
 
@@ -439,10 +440,11 @@ def _swapped_columns(records: Sequence[object]) -> list[Finding]:
 
 def _flatness(signal: Array) -> float:
     """Geometric over arithmetic mean of the spectrum, 1 for white noise; averaged over blocks."""
-    length = len(signal) // _BLOCKS
+    length = min(len(signal), _LONGEST) // _BLOCKS
     if length < 8:
         return 0.1  # neither broad nor resonant
-    blocks = (signal - signal.mean())[: _BLOCKS * length].reshape(_BLOCKS, length) * np.hanning(length)
+    signal = signal[: _BLOCKS * length]
+    blocks = (signal - signal.mean()).reshape(_BLOCKS, length) * np.hanning(length)
     spectrum = np.mean(np.abs(np.fft.rfft(blocks, axis=1)[:, 1:-1]) ** 2, axis=0)
     if not spectrum.all():
         return 0.0

@@ -95,8 +95,14 @@ class FreePath:
         self.counts = np.maximum(counts, 1)
         self.floors = np.maximum(counts * (EPS * counts * extent) ** 2, np.finfo(float).tiny)
         self.search, self._missing = self.plain, np.ones(len(felt))
-        self.power = self.plain.model(FreeProjection(self.plain.rows(none := np.zeros(0, complex)), none)).losses
+        self._first = search
         self.whiten(noise, self.power if best is None else best.losses)
+
+    @cached_property
+    def power(self) -> Array:
+        """What there is of each output, beside no mode."""
+        none = np.zeros(0, complex)
+        return self._first.model(FreeProjection(self._first.rows(none), none)).losses
 
     @classmethod
     def of(
