@@ -104,3 +104,17 @@ def test_a_lag_too_many_is_no_drift_of_slow_noise():
     y = y + 0.3 * np.std(y, axis=1, keepdims=True) * e / np.std(e, axis=1, keepdims=True)
     given = phc.pem((u, y), 2, real_poles=2, dt=STEP)
     assert counts(given) == (2, 2) and given.poles.real.max() < 0.01
+
+
+@pytest.mark.parametrize("seed", [2, 5])
+def test_close_modes_that_decay_are_no_motion_that_forces_keep_up(seed):
+    rng, t = np.random.default_rng(seed), np.arange(900)
+    poles = np.array(
+        [mode(0.068, 0.0011), mode(0.193, 0.003), mode(0.254, 0.039), mode(0.375, 0.015), mode(0.386, 0.008)]
+    )
+    sizes = rng.standard_normal((2, 5)) + 1j * rng.standard_normal((2, 5))
+    decays = [(None, (size @ np.exp(poles[:, None] * t)).real[None]) for size in sizes]
+    decays = [(None, y + 0.01 * np.std(y) * rng.standard_normal(y.shape)) for _, y in decays]
+    result = phc.pem(decays, dt=1.0)
+    assert not result.is_ambient and result.order == 5
+    assert np.all(np.abs(result.natural_frequencies - np.abs(poles)) < 4 * result.stderr["natural_frequencies"])

@@ -23,6 +23,7 @@ from ..diagnosis.hum import Tones, tones_near
 from ..diagnosis.noise_levels import findings_of, levels_of_noise, outliers
 from ..diagnosis.verdict import CUT_SHORT, WHITE, HypothesisTest, Outcome
 from ..estimates.scaled_shapes import ModeShapes, shape_errors
+from ..growth.growing import may_reach
 from ..innovations.ambient import AmbientFit, AmbientOrder, ambient_fit, errors_beside, shapes_of
 from ..innovations.forces import MOST_MISSING, FittedNoise
 from ..innovations.noise_sections import NoiseSections
@@ -42,6 +43,8 @@ from .result import OrderRow, cut_short
 _FEW_MODES = 4  # that are tried for a motion that may be no decay
 _DECAYED = 4.0  # times the squares of the last quarter of a record in its first
 _FADED = 30.0  # times these: no motion that forces keep up, unless they make what is there at the end
+_FURTHER = 3  # modes that those of a motion without end may lack of one that decays
+_MOST = 0.8  # of the squares of an output, which a motion that decays leaves at most
 _STILL = 3.0  # standard errors, or one over the record, that a decay rate of a tone may have
 _TONES = 12  # at most
 _SLOW = 1.0  # decay of a real pole in a record, below which a line may explain it
@@ -107,9 +110,15 @@ def of_outputs_alone(
 
 
 def _may_decay(channels: Sequence[Recording], forced: PEMResult, options: Options) -> bool:
-    """Whether a motion that decays from the poles of one that forces keep up is likelier."""
+    """Whether a motion that decays from the poles of one that forces keep up is likelier, or may be with more modes.
+
+    With these where it explains most of an output already.
+    """
     path = FreePath.of(channels, RowOptions(None, "zoh", int(bool(options.offset)), options.moving))
-    return path.bic(path.reweighted(path.model(forced.poles))) < forced.bic
+    model = path.reweighted(path.model(forced.poles))
+    if not np.any(model.losses < _MOST * path.power):
+        return path.bic(model) < forced.bic
+    return may_reach(path, model.p, min(options.max_order, path.carried, forced.order + _FURTHER), forced.bic)
 
 
 def _of_forces(
