@@ -491,19 +491,10 @@ def _likelier(path: FreePath, model: FreeModel, most: int) -> FreeModel | None:
     return None
 
 
-def _of_common_denominator(path: FreePath, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
-    """Find modes that overlap all at once, as many as the criterion wants; None unless they explain much more.
-
-    From there on modes may mend the shape of others, if they have to.
-    """
-    if path.separate or path.options.real_poles not in ("auto", 0) or not (
-        isinstance(path.search, Responses) and path.search.share_poles
-    ):  # fmt: skip
-        return None
-    plain, path.separate = path.search, True
-    path.search = together = replace(path.search, crowded=True)
-    path.weigh(model.losses)
-    together = together.scaled(path.sizes)
+def _of_likeliest_count(
+    path: FreePath, together: Responses, model: FreeModel, most: int, automatic: bool
+) -> FreeModel:  # fmt: skip
+    """Return the likeliest of a model and those whose modes, of any number, `together` have a common denominator."""
     best, missed, count = model, 0, count_modes(model.p) if automatic else most - 1
     while missed < TUNING.patience and (count < most or not automatic):
         count = min(most, count * 5 // 4 + 1) if automatic else count + 1
@@ -517,6 +508,23 @@ def _of_common_denominator(path: FreePath, model: FreeModel, most: int, automati
     if best is not model:
         best = path.reweighted(path.model(best.p))
         best = pruned(path, best) if automatic else best
+    return best
+
+
+def _of_common_denominator(path: FreePath, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
+    """Find modes that overlap all at once, as many as the criterion wants; None unless they explain much more.
+
+    From there on modes may mend the shape of others, if they have to.
+    """
+    if path.separate or path.options.real_poles not in ("auto", 0) or not (
+        isinstance(path.search, Responses) and path.search.share_poles
+    ):  # fmt: skip
+        return None
+    plain, path.separate = path.search, True
+    path.search = together = replace(path.search, crowded=True)
+    path.weigh(model.losses)
+    together = together.scaled(path.sizes)
+    best = _of_likeliest_count(path, together, model, most, automatic)
     crowded, path.search = path.search, plain
     for term in FURTHER_TERMS:  # what may be no background, but one of further terms
         path.search = path.search.with_term(term)

@@ -210,10 +210,7 @@ def _in_white_noise_and_beside(
     Both begin with the path through modes, or with what predicts best, as is likelier.  Of a number of modes that is
     given what predicts is only looked at where these leave more than white noise.
     """
-    late, begun = None, None
-    if start is None:
-        several = search.assumptions.inputs_may_be_late(channels)
-        late = of_late_inputs(channels, search) if several else of_late_lag(channels, search)
+    late, begun = _late(channels, search) if start is None else None, None
     is_open = start is None and late is None
     known = search.along(path, channels) if is_open and not search.automatic else None
     if is_open and (known is None or not (known.interrupted or known.leaves_white_noise)):
@@ -232,6 +229,12 @@ def _in_white_noise_and_beside(
     if begun is None or forced.interrupted or begun.forced.criteria.bic >= min(fit.criteria.bic, forced.criteria.bic):
         return fit, forced, in_noise
     return begun.fit, begun.forced, in_noise
+
+
+def _late(channels: Experiments, search: Search) -> FreeFit | None:
+    """Return the fit with dead times of inputs, or of a lag, where records begin to show it; None without."""
+    several = search.assumptions.inputs_may_be_late(channels)
+    return of_late_inputs(channels, search) if several else of_late_lag(channels, search)
 
 
 def _beside_noise(fit: FreeFit, in_noise: InNoise, search: Search) -> FreeFit:
