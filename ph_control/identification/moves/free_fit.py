@@ -163,9 +163,11 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
         lags = assumptions.delay is None and bool(np.all(are_heavy(forced.projection.p)))
         return _or_late(forced, fit, search) if lags or (open_delay and not search.automatic) else forced
     in_white_noise = _beside_all_else(fit.with_delay_open(open_delay), search)
+    if forced.beside is not None:
+        return _in_likelier_rows(forced, in_white_noise, in_noise, search)
     if _grows(in_white_noise) and not (search.automatic or fit.noise):
         return _or_in_residual_noise(in_white_noise, path, open_delay, search)
-    return in_white_noise if forced.beside is None else _in_likelier_rows(forced, in_white_noise, in_noise, search)
+    return in_white_noise
 
 
 def _or_late(forced: FreeFit, fit: FreeFit, search: Search) -> FreeFit:

@@ -439,7 +439,7 @@ class Channels:
         if most < _LEAST:
             nearest = np.clip(np.rint(place).astype(int), 1, self._last)
             return np.asarray(2.0 / self.length * np.sum(np.abs(residuals[:, nearest]) ** 2, axis=0))
-        halves = np.array([min(half, most) for half in sorted({*TUNING.widths_of_peaks, *_WIDE})])
+        halves = np.array([min(half, most) for half in (*TUNING.widths_of_peaks, _WIDE[-1])])
         halves = halves[np.minimum(np.searchsorted(halves, _WIDTHS * width), len(halves) - 1)]
         for half in np.unique(halves).tolist():
             these = np.flatnonzero(halves == half)
