@@ -4,6 +4,7 @@
     python -m benchmarks.circumstances louder --seeds 200         noise ten times larger in a third of a record
     python -m benchmarks.circumstances hum --seeds 200            tones of 1, 5 and 30 % that no input drives
     python -m benchmarks.circumstances shaker --seeds 200         a shaker with a tenth of the ambient forces
+    python -m benchmarks.circumstances hits --seeds 200           noise of a hammer's force of a thousandth of its peak
     python -m benchmarks.circumstances window --seeds 200         H1, Hann window, some lines in the width of modes
 
 One BLAS thread.  Columns are those of `benchmarks.noise`; `bias` is the mean error of damping ratios in per cent of
@@ -31,6 +32,8 @@ QUIET, LOUD = 0.02, 0.5
 HUMS = (0.01, 0.05, 0.3)
 BLOCK = 256
 LINES = (0.5, 1.0, 3.0)
+FORCE_NOISE = 0.001  # of a peak of 0.5 to 1.5
+HITS = ((1, 1, 0.01), (3, 1, 0.003), (3, 3, 0.003))  # with outputs, and noise of these over what they show
 
 
 @dataclass(frozen=True)
@@ -165,10 +168,51 @@ def windowed(lines: float, seeds: int) -> None:
     )
 
 
+def hit(count: int, outputs: int, loud: float, seeds: int) -> None:
+    """Fit so many hits at rest, with sensors whose noise is a share of what they show."""
+    t = np.arange(2048.0)
+    z, orders, structures, named, seconds = [], Counter(), Counter(), 0, []
+    for seed in range(seeds):
+        rng = np.random.default_rng([seed, 83])
+        w, zeta = np.sort(np.exp(rng.uniform(np.log(0.1), np.log(1.2), 2))), rng.uniform(0.004, 0.02, 2)
+        w[1] = max(w[1], 1.2 * w[0])
+        poles = -zeta * w + 1j * w * np.sqrt(1 - zeta**2)
+        shapes = rng.standard_normal((2, outputs))
+        plant = phc.modes(poles, shapes, shapes[:, :1] * (poles / (2j * poles.imag))[:, None]).state_space()
+        data = []
+        for _ in range(count):
+            force, width, first = np.zeros(len(t)), int(rng.integers(6, 12)), int(rng.integers(20, 100))
+            force[first : first + width] = (
+                rng.uniform(0.5, 1.5) * np.sin(np.pi * np.arange(1, width + 1) / (width + 1)) ** 2
+            )
+            y = np.atleast_2d(ct.forced_response(plant, t, force).outputs)
+            y = y + loud * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+            data.append((force + FORCE_NOISE * rng.standard_normal(len(t)), y))
+        start = time.process_time()
+        result = phc.pem(data, dt=1.0, intersample="foh", initial_state="zero", ports=[(0, 0)])
+        seconds.append(time.process_time() - start)
+        orders[result.order, len(result.real_poles)] += 1
+        structures[result.structure] += 1
+        named += any(finding.cause.name == "CONTACT_NOISE" for finding in result.findings)
+        if (result.order, len(result.real_poles)) == (2, 0):
+            stated = result.stderr
+            port, port_error = np.abs(result.shapes[:, 0]), stated["shapes"][:, 0].real
+            z.append(np.concatenate([(result.natural_frequencies - w) / stated["natural_frequencies"],
+                                     (result.damping_ratios - zeta) / stated["damping_ratios"],
+                                     port * np.log(port / np.abs(shapes[:, 0])) / port_error]))  # fmt: skip
+    parts = np.split(np.array(z), 3, axis=1)
+    print(
+        f"{count} hits, {outputs} outputs, sensors {100 * loud:g} %: order {orders[2, 0]} of {seeds}, named {named}  "
+        f"{dict(structures)}  cover {'/'.join(f'{100 * np.mean(np.abs(each) < 1.96):.1f}' for each in parts)}  z2 "
+        f"{'/'.join(f'{np.mean(each**2):.2f}' for each in parts)}  {np.median(seconds):.1f} s",
+        flush=True,
+    )
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["experiments", "louder", "hum", "shaker", "window"])
+    parser.add_argument("what", choices=["experiments", "louder", "hum", "shaker", "hits", "window"])
     parser.add_argument("--seeds", type=int, default=20)
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -184,6 +228,9 @@ def main() -> None:
             hums(share, arguments.seeds)
     elif arguments.what == "shaker":
         run("a shaker with a tenth of the ambient forces", SHAPE, arguments.seeds, 6000, forces=10.0)
+    elif arguments.what == "hits":
+        for count, outputs, loud in HITS:
+            hit(count, outputs, loud, arguments.seeds)
     else:
         for lines in LINES:
             windowed(lines, arguments.seeds)

@@ -1,5 +1,6 @@
 """Hammer tests whose force channel has noise between the contacts."""
 
+import control as ct
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -110,3 +111,45 @@ def test_a_weak_mode_with_a_shape_is_found_where_free_residues_would_be_too_many
     result = phc.pem(roving(seed, positions=3, samples=400, weak=0.018, classical=True), dt=1.0)
     assert result.structure == "classical"
     assert result.natural_frequencies == pytest.approx([0.5, 1.9], rel=0.01)
+
+
+def errors_beside_force_noise(theta, hits, spread, noise):
+    """Standard errors of frequencies, damping ratios and gains of a classical port, by dense matrices."""
+
+    def velocity(theta, force):
+        systems = [ct.tf([gain, 0], [1, 2 * zeta * w, w**2]) for w, zeta, gain in zip(*np.split(theta, 3), strict=True)]
+        return ct.forced_response(sum(systems[1:], systems[0]), TIME, force).outputs
+
+    information, contact = 0.0, np.arange(20, 50)
+    H = np.array([velocity(theta, spread * (np.arange(SAMPLES) == k)) for k in contact])
+    hits = [np.where(np.isin(np.arange(SAMPLES), contact), force, 0.0) for force in hits]
+    inner = np.linalg.inv(np.eye(len(H)) + H @ H.T / noise**2)
+    for force in hits:
+        steps = np.diag(1e-5 * theta)
+        J = np.array([velocity(theta + step, force) - velocity(theta - step, force) for step in steps])
+        J /= 2e-5 * theta[:, None]
+        information += J @ J.T / noise**2 - J @ H.T @ inner @ H @ J.T / noise**4  # by the lemma of Woodbury
+    return np.sqrt(np.diag(np.linalg.inv(information)))
+
+
+@pytest.mark.variants
+@pytest.mark.parametrize(("count", "spread"), [(1, 0.3), (3, 0.3), (2, 0.9)])
+def test_errors_of_the_force_within_contacts_are_in_those_of_shapes(count, spread):
+    given = [hit([8, k], noise=spread) for k in range(count)]
+    result = phc.pem(given, initial_state="zero", quantity="velocity", **KNOWN)
+    assert result.order == 3 and result.structure == "classical" and "FORCES" not in names(result)
+    (finding,) = [each for each in result.findings if each.cause.name == "CONTACT_NOISE"]
+    assert finding.values[0] == pytest.approx(spread, rel=0.1) and finding.values[2] > 2
+    assert "within the contacts" in result.message.lower()
+    # unit masses, so that the shapes of unit modal mass are those of the stiffness
+    gains = np.linalg.eigh([[80.0, -40.0, 0.0], [-40.0, 80.0, -40.0], [0.0, -40.0, 40.0]])[1][2] ** 2
+    theta = np.concatenate([PLANT.natural_frequencies, PLANT.damping_ratios, gains])
+    expected = np.split(errors_beside_force_noise(theta, [data.u[0] for data in given], spread, NOISE), 3)
+    for stated, bound in zip(
+        (result.stderr["natural_frequencies"], result.stderr["damping_ratios"],
+         2 * gains * result.shape_stderr[:, 0].real / np.abs(result.shapes[:, 0].real)),
+        expected, strict=True,
+    ):  # fmt: skip
+        np.testing.assert_allclose(stated, bound, rtol=0.1)
+    z = (2 * np.log(np.abs(result.shapes[:, 0])) - np.log(gains)) * gains / expected[2]
+    assert np.abs(z).max() < 3

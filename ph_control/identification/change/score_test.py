@@ -21,10 +21,10 @@ from ..._units import common_unit, hertz_size, rate
 from ...exceptions import StructureError
 from ..data.channels import Recording
 from ..data.experiments import one_recording
+from ..estimates.sensitivities import Sensitivities, noise_of
 from ..regression.tuning import TUNING
 from ..uncertainty.residual_tests import ljung_box
 from .mode_comparison import holm, two_sided
-from .sensitivities import Sensitivities, noise_of
 from .unmeasured_forces import sensitivities_of
 
 _SHOWN = 1e-9  # of the largest information: a direction with less leaves no trace in the new record

@@ -19,8 +19,8 @@ from scipy.signal import lfilter
 
 from ..._types import Array, ComplexArray, Indices
 from ..data.channels import Recording
+from ..estimates.sensitivities import RecordDerivatives, Sensitivities, directions_of, noise_of, refuse_growth
 from ..uncertainty.kalman import KalmanFilter
-from .sensitivities import RecordDerivatives, Sensitivities, directions_of, noise_of, refuse_growth
 
 _ROUNDS = 2  # of these steps
 _HALVINGS = 6  # of each

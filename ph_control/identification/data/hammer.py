@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,41 +18,60 @@ _LEAST = 5  # samples of the ringing of a filter on either side of a contact
 _NORMAL = 1.6449  # of the standard deviation: nine in ten values of normal noise are within
 
 
-def contacts_alone(records: Sequence[CheckedData]) -> tuple[tuple[Any, ...], float, float] | None:
-    """Recordings with the forces of hammers 0 outside contacts; None if there is no such force with noise.
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """Recordings with the forces of hammers 0 outside contacts.
 
-    Parameters
+    Attributes
     ----------
-    records : sequence of Record, Recording, FrequencyRecord or ResponseMatrix
-        What was measured.
-
-    Returns
-    -------
-    changed : tuple
-        The records, new where they are changed.
+    records : tuple
+        All records, new where a force was changed.
+    spreads : tuple of ndarray or None
+        Standard deviation (m, T) of the noise that forces have in contacts, 0 elsewhere; None of records unchanged.
     noise, peak : float
         Standard deviation of the noise of the first such force, and its largest value.
-
-    Notes
-    -----
-    A contact is where a force exceeds its noise by far, and as many samples again on either side; contacts are a small
-    part of the record.  The median is the offset of the channel.  One pass over the inputs, which are not long.
     """
-    if is_long(records):
-        return None
-    sizes: list[tuple[float, float]] = []
-    changed = [_changed(record, sizes) if isinstance(record, InTime) else record for record in records]
-    return (tuple(changed), *sizes[0]) if sizes else None
+
+    records: tuple[Any, ...]
+    spreads: tuple[Array | None, ...]
+    noise: float
+    peak: float
+
+    @classmethod
+    def of(cls, records: Sequence[CheckedData]) -> Hits | None:
+        """Hits of hammers whose channels have noise; None if there are none, or records are long.
+
+        A contact is where a force exceeds its noise by far, and as many samples again on either side; contacts are a
+        small part of the record.  The median is the offset of the channel.  One pass over the inputs.
+        """
+        if is_long(records):
+            return None
+        sizes: list[tuple[float, float]] = []
+        changed = [_changed(record, sizes) if isinstance(record, InTime) else (record, None) for record in records]
+        if not sizes:
+            return None
+        return cls(tuple(record for record, _ in changed), tuple(spread for _, spread in changed), *sizes[0])
+
+    def with_forces(self, corrections: Sequence[Array | None]) -> tuple[Any, ...]:
+        """The records with corrections (m, T) added to their forces."""
+        return tuple(
+            record if each is None else replace(record, u=record.u + each.reshape(np.shape(record.u)))
+            for record, each in zip(self.records, corrections, strict=True)
+        )  # fmt: skip
 
 
-def _changed(record: Any, sizes: list[tuple[float, float]]) -> Any:
+def _changed(record: Any, sizes: list[tuple[float, float]]) -> tuple[Any, Array | None]:
     rows = np.atleast_2d(np.asarray(record.u, float))
     hits = [_of_contacts(row) for row in rows]
     if all(force is None for force, *_ in hits):
-        return record
+        return record, None
     sizes += [(noise, peak) for force, noise, peak in hits if force is not None]
     forces = np.array([row if force is None else force for row, (force, *_) in zip(rows, hits, strict=True)])
-    return replace(record, u=forces.reshape(np.shape(record.u)))
+    spreads = np.array([
+        noise * (np.zeros(len(row)) if force is None else force != 0)
+        for row, (force, noise, _) in zip(rows, hits, strict=True)
+    ])  # fmt: skip
+    return replace(record, u=forces.reshape(np.shape(record.u))), spreads
 
 
 def _of_contacts(force: Array) -> tuple[Array | None, float, float]:

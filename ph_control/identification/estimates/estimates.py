@@ -36,7 +36,7 @@ from ..search.findings import Cause
 from ..search.fitted_modes import FreeFit
 from ..structure.coordinates import residue_of_unit_weight, weights_of
 from .covariance import FittedStructure, covariance_of, roots
-from .scaled_shapes import ModeShapes, shape_errors
+from .scaled_shapes import ModeShapes, places_of_modes, shape_errors
 
 _Rows = Iterator[tuple[int, tuple[Any, Any, Any]]]  # place, rows, what belongs to them alone, prediction
 
@@ -318,16 +318,14 @@ def _fitted_shapes(
 ) -> tuple[ModeShapes, ComplexArray]:
     """Shapes with their standard errors: of residues, or of a free motion."""
     request, poles, residues = structure.request, structure.poles, structure.residues
-    n, (_, p, m) = int(np.sum(poles.imag != 0)), residues.shape
-    count, size = len(poles), residues.size
+    n, m = int(np.sum(poles.imag != 0)), residues.shape[2]
+    every = places_of_modes(residues, n)
     poles, residues = poles[:n], residues[:n]
     # a port that was not named holds only where the structure does
     ports = () if request.assumed and structure.fit.structure == "free" else request.ports
     if m:
         shapes = ModeShapes.of(poles, residues, request.quantities, ports)
-        entries = np.arange(n * p * m).reshape(n, p * m)
-        places = [[l, count + l, *(2 * count + entries[l]), *(2 * count + size + entries[l])] for l in range(n)]
-        blocks = [np.nan_to_num(covariance[np.ix_(indices, indices)]) for indices in places]
+        blocks = [np.nan_to_num(covariance[np.ix_(places, places)]) for places in every]
         return shapes, shape_errors(poles, residues, request.quantities, ports, blocks)
     motions = np.stack([experiment.free_amplitudes[:n] for experiment in experiments], axis=2)
     shapes = ModeShapes.of(poles, motions, request.quantities, ())

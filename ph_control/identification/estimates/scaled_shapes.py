@@ -116,6 +116,15 @@ def shape_errors(
     return errors
 
 
+def places_of_modes(residues: ComplexArray, n: int) -> list[list[int]]:
+    """Places of `(d, zeta, Re rho, Im rho)` of the first n modes in a covariance, of residues (count, p, m)."""
+    count, each, size = len(residues), residues[0].size if len(residues) else 0, residues.size
+    return [
+        [l, count + l, *(2 * count + part * size + l * each + k for part in (0, 1) for k in range(each))]
+        for l in range(n)
+    ]
+
+
 def shape_jacobian(pole: complex, residue: ComplexArray, quantities: Sequence[str], ports: Ports) -> Array:
     """Derivatives of real, then imaginary parts of a shape by `(d, zeta, Re rho, Im rho)`, (2p, 2 + 2 p m)."""
     p, m = residue.shape

@@ -87,8 +87,8 @@ def _of_modes_and_inputs(
         "quantities": request.quantities, "intersample": options.intersample, "offset": options.offset,
         "max_order": options.max_order, "criterion": options.criterion, "weighted": options.weighted,
         "real_poles": options.real_poles, "method": options.method, "delay": options.delay,
-        "input_delay": options.input_delay, "white": options.noise in ("white", *KINDS),
-        "beside": partial(_in_noise_of, options.noise, request.structure),
+        "input_delay": options.input_delay, "white": options.is_plain or options.noise in ("white", *KINDS),
+        "beside": alone if options.is_plain else partial(_in_noise_of, options.noise, request.structure),
         "reports": reporter(options.largest, options.callback),
     }  # fmt: skip
 
@@ -105,7 +105,9 @@ def _of_modes_and_inputs(
         return Searched(channels, free, like.moving)
 
     automatic, certain = isinstance(order, str), options.noise in KINDS
-    latest = beside_disturbances(searched(channels), searched, refined, automatic, certain)
+    latest = searched(channels)
+    if not options.is_plain:
+        latest = beside_disturbances(latest, searched, refined, automatic, certain)
     search, moving = search_in(latest.channels), latest.moving
 
     def with_delay(late: Lateness) -> FreeFit:

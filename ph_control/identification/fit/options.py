@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,8 @@ class Options:
     """Options of `pem`, checked.
 
     `moving` says whether records may start in motion, `weighted` whether weights were given, `reachable` whether modes
-    without weight are left out, as from the controllable form.
+    without weight are left out, as from the controllable form, `is_plain` that noise is white and the same in all
+    records, and that nothing else disturbs them.
     """
 
     order: int | str
@@ -45,6 +46,7 @@ class Options:
     input_delay: Array | None
     reachable: bool
     noise: NoiseKind = "auto"
+    is_plain: bool = False
 
     @classmethod
     def checked(cls, channels: Channels, **options: Any) -> Options:
@@ -67,6 +69,13 @@ class Options:
         if options["method"] == "euler" and options["intersample"] == "auto":
             options["intersample"] = "zoh"
         return cls(**{**options, "order": order, "max_order": most, "real_poles": real_poles, **late})
+
+    def plain(self, channels: Channels) -> Options:
+        """The same in plain noise, without delays that are not given."""
+        outputs, inputs = channels[0].output_labels, channels[0].input_labels
+        delay = np.zeros(len(outputs)) if self.delay is None else self.delay
+        input_delay = np.zeros(len(inputs)) if self.input_delay is None else self.input_delay
+        return replace(self, is_plain=True, delay=delay, input_delay=input_delay)
 
     @property
     def largest(self) -> int:

@@ -35,12 +35,13 @@ from ...exceptions import IdentifiabilityWarning, StructureError
 from ...systems.base import Convertible
 from ..data.channels import Channels, ResponseHold
 from ..data.experiments import as_channels
-from ..data.hammer import contacts_alone
+from ..data.hammer import Hits
 from ..data.quantities import ports_of, quantity_of
 from ..diagnosis.verdict import WHITE, Outcome
+from ..estimates.force_noise import Fit, beside_force_noise
 from ..parameters.model_function import ModelFunction
-from ..search.findings import Cause, Finding
 from ..search.starting_poles import poles_of
+from ..structure.choice import Request
 from ..structure.parametric import PARAMETRIC, for_channels
 from .modal_fit import fit_channels
 from .options import Options, request_of, starting_poles
@@ -272,12 +273,19 @@ def pem(
         request = replace(request, structure=PARAMETRIC, function=for_channels(function, channels))
     start = starting_poles(initial_guess, channels, options)
 
-    def fit(data: Any, poles: ComplexArray | None = start, **more: Any) -> PEMResult:
-        return fit_channels(data, request, options, poles, **more)
+    def fit(
+        data: Any,
+        poles: ComplexArray | None = start,
+        plain: bool = False,
+        structure: str = request.structure,
+        **more: Any,
+    ) -> PEMResult:
+        wanted = replace(request, structure=structure, coloured=request.coloured and not plain)
+        return fit_channels(data, wanted, options.plain(data) if plain else options, poles, **more)
 
     with heard_by(callback) as heartbeat:
         options = replace(options, callback=heartbeat)
-        result = _beside_hammer_noise(channels, fit)
+        result = _beside_hammer_noise(channels, request, fit)
         for hold in others:
             if result.outcome is Outcome.INTERRUPTED or _is_explained(result, structure):
                 break
@@ -335,20 +343,19 @@ def _of_records(intersample: FittedInterpolation, channels: Channels) -> Interpo
     return "zoh"
 
 
-def _beside_hammer_noise(channels: Channels, fit: Any) -> PEMResult:
+def _beside_hammer_noise(channels: Channels, request: Request, fit: Fit) -> PEMResult:
     """Fit with the force of a hammer 0 outside its contacts, where that explains the outputs better."""
-    hits = contacts_alone(channels)
+    hits = Hits.of(channels)
     if hits is None:
         return fit(channels)
-    quiet, *sizes = hits
-    result = fit(quiet, findings=(Finding(Cause.HAMMER_NOISE, tuple(sizes), 0.0),))
+    result = fit(hits.records, plain=True)
     if not result.states or result.outcome is Outcome.INTERRUPTED:
         return result
     # what the channel shows between hits may be a force
-    rival = fit(channels, poles_of(result), order=result.order)
-    if rival.outcome is Outcome.INTERRUPTED or rival.loglik <= result.loglik:
-        return result
-    return fit(channels)
+    rival = fit(channels, poles_of(result), order=result.order, plain=True)
+    if rival.outcome is not Outcome.INTERRUPTED and rival.loglik > result.loglik:
+        return fit(channels)
+    return beside_force_noise(result, hits, request, fit)
 
 
 prediction_error_fit = pem

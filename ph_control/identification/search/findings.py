@@ -59,6 +59,7 @@ class Cause(Enum):
     CHANGING_MODE = "mode that differs between the halves of the recordings"
     MULTIPLE = "mode of a decay that is made of others by a law that is not linear"
     HAMMER_NOISE = "noise of a hammer's force between its contacts"
+    CONTACT_NOISE = "noise of a hammer's force within its contacts"
     LARGEST_ORDER = "as many modes as the search may find"
     FEWER_MODES = "fewer modes than the order that was given"
     WRONG_MODEL = "responses that no parameters of the model function give"
@@ -91,7 +92,8 @@ class Finding:
         the ends of the band about the peak of their spectrum, rad per unit time, the density there over its geometric
         mean, and the share of their power; of outliers their places, counted from 0; of an output that
         stays at an end of its range how many samples do, and that end or both; of the noise of a hammer's force its
-        standard deviation, and the peak of the force; of noise or forces that change the first sample of each span,
+        standard deviation, and the peak of the force; within contacts also how many times the standard errors of
+        residues grow by it; of noise or forces that change the first sample of each span,
         counted from 0, and the noise there over its geometric mean, one after the other; of slow noise the rates of its
         real poles; of an output that stays at one value the first of these samples, how many they are, and that value;
         of a mode that changes its natural frequency in the first halves and in the second, and its damping ratios
@@ -375,6 +377,16 @@ def _of_hammer_noise(finding: Finding, terms: _Terms) -> str:
     )
 
 
+def _of_contact_noise(finding: Finding, terms: _Terms) -> str:
+    noise, peak, growth = finding.values
+    return (
+        f"Within the contacts of the hammer that noise of {noise:.2g} beside a peak of {peak:.3g} errs in each hit "
+        f"({_gain(finding)}): forces are corrected by what one hit has apart from the others, and standard errors of "
+        f"residues are up to {growth:.2g} times those of noise of the outputs alone. More hits make them smaller, and "
+        "a range of the force channel that its peak fills."
+    )
+
+
 def _of_saturation(finding: Finding, terms: _Terms) -> str:
     count, *ends = finding.values
     return (
@@ -441,7 +453,8 @@ _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
     Cause.CHANGING_NOISE: _of_changing_noise, Cause.CHANGING_FORCES: _of_changing_forces,
     Cause.SLOW_NOISE: _of_slow_noise, Cause.STUCK: _of_stuck,
     Cause.CHANGING_MODE: _of_changing_mode, Cause.MULTIPLE: _of_multiple,
-    Cause.HAMMER_NOISE: _of_hammer_noise, Cause.SATURATION: _of_saturation, Cause.WILD_LINES: _of_wild_lines,
+    Cause.HAMMER_NOISE: _of_hammer_noise, Cause.CONTACT_NOISE: _of_contact_noise,
+    Cause.SATURATION: _of_saturation, Cause.WILD_LINES: _of_wild_lines,
     Cause.LARGEST_ORDER: _of_largest_order, Cause.FEWER_MODES: _of_fewer_modes, Cause.OUTLIERS: _of_outliers,
     Cause.INPUT_NOISE: _of_input_noise, Cause.PARAMETER_BOUND: _of_parameter_bound,
     Cause.UNIDENTIFIED: _of_unidentified, **dict.fromkeys(REJECTED.values(), _of_rejection),

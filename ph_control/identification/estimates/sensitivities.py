@@ -141,10 +141,15 @@ def directions_of(p: complex) -> list[complex]:
 
 @dataclass(frozen=True, eq=False)
 class RecordDerivatives:
-    """Derivatives of the outputs of a result on a record."""
+    """Derivatives of the outputs of a result on a record.
+
+    Without `moving` and `offset` the record has no motion at first, and no constant, of its own.
+    """
 
     result: Any
     record: Recording
+    moving: bool = True
+    offset: bool = True
 
     @cached_property
     def hold(self) -> Hold:
@@ -184,7 +189,7 @@ class RecordDerivatives:
         # a delay is no motion, though it may look like one
         late = int(np.any(self.result.delay_stderr > 0))
         amplitudes, errors = self._moving(motion[: len(motion) - late], self.simulation_errors)
-        return self._whitened(errors, self.of_poles(amplitudes), own, places)
+        return self.whitened(errors, self.of_poles(amplitudes), own, places)
 
     @cached_property
     def simulation_errors(self) -> Array:
@@ -234,8 +239,11 @@ class RecordDerivatives:
         """Derivatives (p, T) by what each output of a record has for itself."""
         result, shape = self.result, (len(self.record.y), self.record.samples)
         real = result.poles.imag == 0
-        columns = [*self.powers.real, *self.powers.imag[~real], np.ones(shape[1])]
-        if any(np.any(getattr(data, name, 0.0)) for data in result.experiments for name in ("drift", "drifts")):
+        columns = [*self.powers.real, *self.powers.imag[~real]] if self.moving else []
+        columns += [np.ones(shape[1])] * self.offset
+        if self.offset and any(
+            np.any(getattr(data, name, 0.0)) for data in result.experiments for name in ("drift", "drifts")
+        ):
             columns.append(np.arange(shape[1]) / shape[1])
         yield from (np.broadcast_to(column, shape) for column in columns)
         estimated = result.delay_stderr > 0
@@ -308,15 +316,16 @@ class RecordDerivatives:
         """Standard deviation (p,) of rounding."""
         return _ROUNDING * np.sqrt(np.nanmean(np.where(self.observed, self.record.y, np.nan) ** 2, axis=1))
 
-    def _whitened(self, errors: Array, shared: Array, own: Array, own_places: Indices) -> Sensitivities:
+    def whitened(self, errors: Array, shared: Array, own: Array, own_places: Indices) -> Sensitivities:
+        """Errors (p, T) and derivatives, by shared unknowns (s, p, T) and those of each output, whitened."""
         noise, seen = self.result.noise, self.observed
 
-        def whitened(values: Array) -> Array:
+        def innovations(values: Array) -> Array:
             visible = np.where(seen, values, np.nan)
             return np.nan_to_num(self.result._innovations(visible, self.record.dt))
 
         if noise is not None and not noise.is_white:
-            errors, *columns = [whitened(values) for values in (errors, *shared, *own)]
+            errors, *columns = [innovations(values) for values in (errors, *shared, *own)]
             shared, own = np.array(columns[: len(shared)]), np.array(columns[len(shared) :]).reshape(own.shape)
         else:
             errors, shared, own = (np.where(seen, values, 0.0) for values in (errors, shared, own))
