@@ -70,7 +70,7 @@ def beside_disturbances(
     latest = alone
     try:
         latest = _beside_hum(latest, search, refine, automatic)
-        latest = _beside_unequal_noise(latest, search)
+        latest = _beside_unequal_noise(latest, search, refine, automatic)
         beside = latest.free.beside
         if beside is not None and (certain or beside.is_coloured):
             return latest
@@ -139,17 +139,34 @@ def _beside_hum(latest: Searched, search: Search, refine: Refine, automatic: boo
     return latest
 
 
-def _beside_unequal_noise(alone: Searched, search: Search) -> Searched:
-    """The fit to recordings in units in which their noise is the same, where that is likelier and the noise white."""
+def _beside_unequal_noise(alone: Searched, search: Search, refine: Refine, automatic: bool) -> Searched:
+    """The fit to recordings in units in which their noise is the same, where that is likelier.
+
+    The units are settled with the poles that there are before others are looked for.
+    """
     charge = alone.charge(len(alone.channels) - 1)
+
+    def in_settled_units(latest: Searched) -> Channels | None:
+        """Return recordings in units that the poles of a fit agree with."""
+        channels = in_equal_noise(latest.channels, latest.free)
+        proposed = channels
+        for _ in range(_ROUNDS):
+            if proposed is None:
+                break
+            channels = proposed
+            again = refine(channels, latest, latest.free.projection.p)
+            if again.free.interrupted:
+                raise KeyboardInterrupt
+            proposed = in_equal_noise(channels, again.free)
+        return channels
+
     latest = _settled(
-        alone, search, lambda latest: in_equal_noise(latest.channels, latest.free),
-        lambda again, latest: again.bic < min(alone.bic - charge, latest.bic),
-    )  # fmt: skip
+        alone, search, in_settled_units, lambda again, latest: again.bic < min(alone.bic - charge, latest.bic)
+    )
     if latest.free.interrupted:
         return latest
-    # what modes that are missing leave says nothing of the noise
-    if latest is alone or not latest.free.leaves_white_noise:
+    # what modes leave that may be missing says nothing of the noise
+    if latest is alone or not (automatic or latest.free.leaves_white_noise):
         return alone
     units = tuple(getattr(channel, "unit", 1.0) for channel in latest.channels)
     gain = 0.5 * (alone.bic - latest.bic - charge)
