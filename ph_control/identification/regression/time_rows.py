@@ -24,19 +24,36 @@ from .elimination import triangle
 from .modal_regressors import SHORT, GroupStates, Kernel, ModalColumns, SampledModes, in_groups
 
 _BLOCK = 1 << 19  # numbers in a block of columns: a few megabytes, whatever the length of the record
+_MUCH = 0.2  # of the squares of its changes: an input is not left out that has these in a few samples
+_LONGER = 20  # times as many samples as may be left out tell whether inputs go on changing
 _FEWEST = 32  # groups of samples in a block
 WHOLE = 1e-9  # samples: a delay so near to a whole number of samples is one
 _LONG = 1 << 14  # samples from which on inner products are cheaper without columns, whatever the number of modes
 
 
-def _shifted(signals: Array, seen: slice, samples: Indices) -> Array:
-    """Signals (m, T), each so many samples (m,) later, at the samples that are seen; 0 before the record."""
+def _shifted(signals: Array, seen: slice, samples: Indices, lasting: bool) -> Array:
+    """Signals (m, T), each so many samples (m,) later, at the samples that are seen.
+
+    Before the record they are 0, or `lasting` at their first values.
+    """
     if len(signals) > 1 and np.ptp(samples):
         pairs = zip(signals, samples, strict=True)
-        return np.concatenate([_shifted(signal[None], seen, late[None]) for signal, late in pairs])
+        return np.concatenate([_shifted(signal[None], seen, late[None], lasting) for signal, late in pairs])
     first, last = (end - int(samples[0]) for end in (seen.start, seen.stop))
     shifted = signals[:, max(0, first) : max(0, last)]
-    return np.concatenate([np.zeros((len(signals), -first)), shifted], axis=1) if first < 0 else shifted
+    if first >= 0:
+        return shifted
+    return np.concatenate([np.repeat(lasting * signals[:, :1], -first, axis=1), shifted], axis=1)
+
+
+def change_seldom(u: Array, first: int) -> bool:
+    """Whether an input (m, T) has much of its changes in the first samples, as a step has."""
+    lost = np.sum(np.diff(u[:, : first + 1]) ** 2, axis=1)
+    # of inputs that go on changing a beginning tells
+    for samples in (1 + _LONGER * first, u.shape[1]):
+        if not np.any(lost > _MUCH * np.sum(np.diff(u[:, :samples]) ** 2, axis=1)):
+            return False
+    return True
 
 
 def size_of(values: Array) -> float:
@@ -87,7 +104,8 @@ class FreeRecord:
     Of several inputs (m, T) and outputs (q, T) that were observed at the same samples: they share one factorisation.
     Inputs that are zero throughout are left out, and those there are have their places `among` all.  Of outputs with a
     delay the inputs are shifted by whole samples, and modes are seen a part of a step later; inputs with a dead time of
-    their own are shifted each by its own number of samples.
+    their own are shifted each by its own number of samples.  As many of the first samples are left out as may depend on
+    inputs before the record, unless these are much of what tells: inputs that change seldom are taken to have lasted.
     """
 
     u: Array
@@ -108,6 +126,8 @@ class FreeRecord:
     unit: float = 1.0  # what inputs and outputs were divided by
     level: Array | None = None  # (T,) noise of each sample over that of the rows, by which these are divided
     dead_samples: Indices | None = None  # (m,) by which each input acts later
+    lasting: bool = False  # before the record, inputs are taken to have had their first values
+    known_lasting: bool | None = None  # whether they are with any delay, as before a filter
     filled: Mask | None = None  # samples (q, T) that were not measured, of outputs with values in their place
 
     @cached_property
@@ -224,6 +244,9 @@ class FreeRecord:
         known, dead = self.whole_record or WholeRecord(self.u, self.y, self.observed, 0, 0, self.level), self._dead
         ends = [samples, *(bound / self.hold.h for bound in (least, most) if bound is not None)]
         first = max(known.first, int(np.ceil(max(ends))) + int(dead.max())) * self.moving
+        lasting = change_seldom(known.u, first) if self.known_lasting is None else self.known_lasting
+        lasting = lasting and self.moving and first > 0
+        first = 0 if lasting else first
         last = max(known.last, -int(np.floor(min(ends))) - int(dead.min()))
         if not (samples or first or last or dead.any()):
             return self
@@ -231,11 +254,11 @@ class FreeRecord:
         shift = int(np.floor(samples))
         late = samples - shift
         seen = slice(first, known.u.shape[-1] - last)
-        u, ahead = (_shifted(known.u, seen, shift + back + dead) for back in (late > 0, 0))
+        u, ahead = (_shifted(known.u, seen, shift + back + dead, lasting) for back in (late > 0, 0))
         return replace(
             self, u=u, y=known.y[:, seen], observed=known.observed[seen], delay=samples, late=late, moving=moving,
             ahead=ahead if late and self.hold.intersample == "foh" else None,
-            whole_record=replace(known, first=first, last=last),
+            whole_record=replace(known, first=first, last=last), lasting=lasting,
             level=None if known.level is None else known.level[seen],
         )  # fmt: skip
 
@@ -303,20 +326,26 @@ class FreeRecord:
         motion = (own[:n] + 1j * own[n : 2 * n]) if self.moving else np.zeros((n, len(self.outputs)), complex)
         if known is None or not self.moving:
             return motion
-        # what the inputs of the samples that are left out have done to the state
-        shift, first = int(np.floor(self.delay)) + (self.late > 0), known.first
-        modes, start = self.modes(p), min(0, shift) - 1
-        u = np.array([self.among_inputs(known.u, k - shift) for k in range(start, first + 1)]).reshape(-1, self.inputs)
-        state, lam = np.zeros((n, self.inputs), complex), modes.multiplier[:, None]
-        for now, then in pairwise(u):
-            state = lam * state + np.outer(modes.b0, now) + np.outer(modes.b1, then)
+        # what inputs have done to the state that the rows do not know of
+        shift = int(np.floor(self.delay)) + (self.late > 0)
+        first = max(0, shift + int(self._dead.max())) if self.lasting else known.first
+        modes = self.modes(p)
+        state = self._driven(modes, known.u, range(min(0, shift) - 1 - shift, first + 1 - shift), False)
+        if self.lasting:
+            state = state - self._driven(modes, known.u, range(-shift, first + 1 - shift), True)
         forced = np.einsum("lqi,li->lq", residues[:, :, self.acting], state)
-        return np.asarray((motion - forced) * np.exp(-p * first * self.hold.h)[:, None])
+        start, end = (np.exp(-p * sample * self.hold.h)[:, None] for sample in (known.first, first))
+        return np.asarray(start * motion - end * forced)
 
-    def among_inputs(self, u: Array, sample: int) -> Array:
-        """Inputs as they act at a sample, 0 before the first."""
-        places = sample - self._dead
-        return np.where(places >= 0, u[np.arange(self.inputs), np.maximum(places, 0)], 0.0)
+    def _driven(self, modes: SampledModes, u: Array, samples: range, lasting: bool) -> ComplexArray:
+        """State (n, m) at the last of some samples, from rest; before the record inputs are 0, or lasting."""
+        inputs, lam = np.arange(self.inputs), modes.multiplier[:, None]
+        places = np.array(samples)[:, None] - self._dead[: self.inputs]
+        acting = np.where((places >= 0) | lasting, u[inputs, np.maximum(places, 0)], 0.0)
+        state = np.zeros((len(lam), self.inputs), complex)
+        for now, then in pairwise(acting):
+            state = lam * state + np.outer(modes.b0, now) + np.outer(modes.b1, then)
+        return state
 
     def offset_at_start(self, own: Array) -> tuple[Array, Array]:
         """Constant of each output at the first sample of the whole record, and its change per unit time."""
@@ -358,13 +387,16 @@ class FreeRecord:
         records = []
         for row, output in enumerate(self.outputs.tolist()):
             b = innovations[output]
-            u, y = (np.asarray(lfilter(b, 1.0, part, axis=-1)) for part in (self.u, self.measured[row : row + 1]))
+            u = np.concatenate([np.repeat(self.lasting * self.u[:, :1], len(b) - 1, axis=1), self.u], axis=1)
+            u = np.asarray(lfilter(b, 1.0, u, axis=-1))[:, len(b) - 1 :]
+            y = np.asarray(lfilter(b, 1.0, self.measured[row : row + 1], axis=-1))
             missing = np.convolve(~self.observed, np.ones(len(b)))[: self.length] > 0
             # before a record at rest, all is 0; a constant is not
-            missing[: (len(b) - 1) * (self.offset > 0)] = True
-            part = slice((len(b) - 1) * self.moving, None)
+            missing[: (len(b) - 1) * (self.offset > 0 or self.lasting)] = True
+            part = slice((len(b) - 1) * (self.moving and not self.lasting), None)
             record = replace(
                 self, u=u[:, part], y=y[:, part], observed=~missing[part], scale=None, outputs=self.outputs[[row]],
+                known_lasting=self.lasting,
                 level=None if self.level is None else self.level[part],
             )  # fmt: skip
             records.append(record)
