@@ -83,14 +83,7 @@ def _of_modes_and_inputs(
     findings: tuple[Finding, ...], order: int | str,
 ) -> PEMResult:  # fmt: skip
     """Search for poles with free residues, beside all that disturbs them; then choose the structure, and judge it."""
-    assumptions: dict[str, Any] = {
-        "quantities": request.quantities, "intersample": options.intersample, "offset": options.offset,
-        "max_order": options.max_order, "criterion": options.criterion, "weighted": options.weighted,
-        "real_poles": options.real_poles, "method": options.method, "delay": options.delay,
-        "input_delay": options.input_delay, "white": options.is_plain or options.noise in ("white", *KINDS),
-        "beside": alone if options.is_plain else partial(_in_noise_of, options.noise, request.structure),
-        "reports": reporter(options.largest, options.callback),
-    }  # fmt: skip
+    assumptions = _assumptions(request, options)
 
     def search_in(channels: Channels) -> Callable[..., FreeFit]:
         return partial(free_fit, channels, **assumptions)
@@ -135,6 +128,18 @@ def _of_modes_and_inputs(
 
 
 # --- the search ------------------------------------------------------------------------------------------------------
+
+
+def _assumptions(request: Request, options: Options) -> dict[str, Any]:
+    """What a search is to assume."""
+    return {
+        "quantities": request.quantities, "intersample": options.intersample, "offset": options.offset,
+        "max_order": options.max_order, "criterion": options.criterion, "weighted": options.weighted,
+        "real_poles": options.real_poles, "method": options.method, "delay": options.delay,
+        "input_delay": options.input_delay, "white": options.is_plain or options.noise in ("white", *KINDS),
+        "beside": alone if options.is_plain else partial(_in_noise_of, options.noise, request.structure),
+        "reports": reporter(options.largest, options.callback),
+    }  # fmt: skip
 
 
 def _in_noise_of(noise: str, structure: str, fit: FreeFit, orders: Orders) -> FreeFit:
