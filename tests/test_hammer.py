@@ -153,3 +153,14 @@ def test_errors_of_the_force_within_contacts_are_in_those_of_shapes(count, sprea
         np.testing.assert_allclose(stated, bound, rtol=0.1)
     z = (2 * np.log(np.abs(result.shapes[:, 0])) - np.log(gains)) * gains / expected[2]
     assert np.abs(z).max() < 3
+
+
+def test_a_fit_to_hits_that_is_stopped_stops():
+    calls = []
+
+    def stop(progress):
+        calls.append(progress)
+        raise StopIteration
+
+    result = phc.pem([hit([9, k], noise=0.3) for k in range(2)], initial_state="zero", callback=stop, **KNOWN)
+    assert result.outcome.name == "INTERRUPTED" and len(calls) == 1 and "HAMMER_NOISE" in names(result)

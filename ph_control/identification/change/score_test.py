@@ -21,16 +21,21 @@ from ..._units import common_unit, hertz_size, rate
 from ...exceptions import StructureError
 from ..data.channels import Recording
 from ..data.experiments import one_recording
-from ..estimates.sensitivities import Sensitivities, noise_of
+from ..estimates.sensitivities import (
+    CORRELATED,
+    Sensitivities,
+    known_parameters,
+    noise_of,
+    root_of_covariance,
+    without_others,
+)
 from ..regression.tuning import TUNING
 from ..uncertainty.residual_tests import ljung_box
 from .mode_comparison import holm, two_sided
 from .unmeasured_forces import sensitivities_of
 
 _SHOWN = 1e-9  # of the largest information: a direction with less leaves no trace in the new record
-_CORRELATED = 1e-11  # of the largest eigenvalue of a correlation matrix: less is rounding of a constraint
 
-_BLIND = 1e-11  # of the squares of unit derivatives: what other unknowns do as well
 _SPARE = 10  # samples beyond the unknowns, at least
 
 
@@ -73,23 +78,6 @@ class Score(Frozen):
 def _spectrum(matrix: Array) -> tuple[Array, Array, Mask]:
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     return values, vectors, values > _SHOWN * max(float(values.max(initial=0.0)), np.finfo(float).tiny)
-
-
-def known_parameters(covariance: Array) -> Indices:
-    """Places of parameters that have an error."""
-    variances = np.diag(covariance)
-    return np.flatnonzero(np.isfinite(variances) & (variances > 0))
-
-
-def root_of_covariance(covariance: Array, places: Indices) -> Array:
-    """Square root (k, q) of the covariance of parameters at some places (k,).
-
-    Its columns span what constraints on them allow; along each they have the error 1.
-    """
-    sizes = np.sqrt(np.diag(covariance)[places])
-    values, vectors = np.linalg.eigh(covariance[np.ix_(places, places)] / np.outer(sizes, sizes))
-    kept = values > _CORRELATED * values.max()
-    return np.asarray(sizes[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -237,7 +225,7 @@ def score_test(result: Any, data: object, parameters: str, level: float, dt: flo
     _refuse_short(sensitivities)
     covariance, rest = noise_of(result, sensitivities)[:2]
     normal, gradient = sensitivities.products(np.asarray(np.linalg.inv(covariance)))
-    normal, gradient = _without_others(normal, gradient, sensitivities.places, tested)
+    normal, gradient = without_others(normal, gradient, sensitivities.places, tested)
     if not normal.any():
         raise StructureError(
             "the record shows none of the parameters of the fit, as where no input varies: there is nothing to test; "
@@ -282,25 +270,6 @@ def _refuse_short(sensitivities: Sensitivities) -> None:
             f"the record has {seen} observed samples of outputs, and a test of this fit has {unknowns} unknowns in it: "
             f"at least {unknowns + _SPARE} samples are needed"
         )
-
-
-def _without_others(normal: Array, gradient: Array, places: Indices, tested: Indices) -> tuple[Array, Array]:
-    """Information and score of the tested parameters, where all other unknowns are those of the new record."""
-    first = np.array([int(np.flatnonzero(places == place)[0]) for place in tested])
-    others = np.setdiff1d(np.arange(len(places)), first)
-    sizes = np.sqrt(np.maximum(np.diag(normal), 0.0))
-    sizes = np.where(sizes > 0, sizes, 1.0)
-    normal, gradient = normal / np.outer(sizes, sizes), gradient / sizes
-    mixed, inner = normal[np.ix_(first, others)], normal[np.ix_(others, others)]
-    solved = mixed @ np.linalg.pinv(inner, rcond=len(others) * EPS * 100, hermitian=True) if len(others) else mixed
-    information = normal[np.ix_(first, first)] - solved @ mixed.T
-    # what the other unknowns do as well is rounding of the difference
-    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
-    kept = vectors[:, values > _BLIND]
-    information = kept * values[values > _BLIND] @ kept.T
-    score = kept @ (kept.T @ (gradient[first] - solved @ gradient[others]))
-    own = sizes[first]
-    return information * np.outer(own, own), score * own
 
 
 def _judged(
@@ -354,7 +323,7 @@ def _of_mode(places: Indices, change: Array, root: Array, result: Any, l: int) -
     if not len(own):
         return 0.0, 0
     U, s, _ = np.linalg.svd(own, full_matrices=False)
-    kept = s > np.sqrt(_CORRELATED) * s[0]
+    kept = s > np.sqrt(CORRELATED) * s[0]
     return float(np.sum((U[:, kept].T @ value / s[kept]) ** 2)), int(kept.sum())
 
 

@@ -52,12 +52,27 @@ class Hits:
             return None
         return cls(tuple(record for record, _ in changed), tuple(spread for _, spread in changed), *sizes[0])
 
-    def with_forces(self, corrections: Sequence[Array | None]) -> tuple[Any, ...]:
-        """The records with corrections (m, T) added to their forces."""
-        return tuple(
-            record if each is None else replace(record, u=record.u + each.reshape(np.shape(record.u)))
-            for record, each in zip(self.records, corrections, strict=True)
-        )  # fmt: skip
+    @property
+    def samples(self) -> int:
+        """Number of samples of all contacts c."""
+        return sum(int(np.sum(spread > 0)) for spread in self.spreads if spread is not None)
+
+    @property
+    def responses(self) -> int:
+        """Numbers in the responses of the outputs of a record to each sample of its contacts, at most."""
+        pairs = zip(self.records, self.spreads, strict=True)
+        return max(int(np.sum(spread > 0)) * record.y.size for record, spread in pairs if spread is not None)
+
+    def corrected(self, errors: Array) -> tuple[Any, ...]:
+        """The records with errors (c,) added to the samples of their contacts, in units of their standard deviation."""
+        records, done = [], 0
+        for record, spread in zip(self.records, self.spreads, strict=True):
+            if spread is not None:
+                added, count = np.zeros(spread.shape), int(np.sum(spread > 0))
+                added[spread > 0] = spread[spread > 0] * errors[done : done + count]
+                record, done = replace(record, u=record.u + added.reshape(np.shape(record.u))), done + count
+            records.append(record)
+        return tuple(records)
 
 
 def _changed(record: Any, sizes: list[tuple[float, float]]) -> tuple[Any, Array | None]:

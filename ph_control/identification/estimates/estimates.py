@@ -36,7 +36,7 @@ from ..search.findings import Cause
 from ..search.fitted_modes import FreeFit
 from ..structure.coordinates import residue_of_unit_weight, weights_of
 from .covariance import FittedStructure, covariance_of, roots
-from .scaled_shapes import ModeShapes, places_of_modes, shape_errors
+from .scaled_shapes import ModeShapes, blocks_of_modes, shape_errors
 
 _Rows = Iterator[tuple[int, tuple[Any, Any, Any]]]  # place, rows, what belongs to them alone, prediction
 
@@ -319,14 +319,12 @@ def _fitted_shapes(
     """Shapes with their standard errors: of residues, or of a free motion."""
     request, poles, residues = structure.request, structure.poles, structure.residues
     n, m = int(np.sum(poles.imag != 0)), residues.shape[2]
-    every = places_of_modes(residues, n)
-    poles, residues = poles[:n], residues[:n]
-    # a port that was not named holds only where the structure does
-    ports = () if request.assumed and structure.fit.structure == "free" else request.ports
+    ports = request.ports_of(structure.fit.structure)
     if m:
-        shapes = ModeShapes.of(poles, residues, request.quantities, ports)
-        blocks = [np.nan_to_num(covariance[np.ix_(places, places)]) for places in every]
-        return shapes, shape_errors(poles, residues, request.quantities, ports, blocks)
+        blocks = blocks_of_modes(covariance, residues, n)
+        shapes = ModeShapes.of(poles[:n], residues[:n], request.quantities, ports)
+        return shapes, shape_errors(poles[:n], residues[:n], request.quantities, ports, blocks)
+    poles = poles[:n]
     motions = np.stack([experiment.free_amplitudes[:n] for experiment in experiments], axis=2)
     shapes = ModeShapes.of(poles, motions, request.quantities, ())
     shapes = ModeShapes(shapes.shapes, np.zeros((n, 0), complex), shapes.scaled)

@@ -1,4 +1,4 @@
-"""Noise of the force of a hammer within its contacts: each hit errs by it, and so do the residues that hits scale.
+"""Noise of the force of a hammer: outside its contacts there is no force, and within them each hit errs by the noise.
 
 With a recorded force u, in error by e at the samples of contacts, outputs are `y = G (u + e) + v`.  The size of e is
 known from what the channel shows between hits, so that the likeliest e comes of the same least squares as poles and
@@ -7,7 +7,7 @@ residues: it is what one hit has apart from the others.  What all may have in co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -15,17 +15,16 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from ..._checks import EPS
 from ..._options import STRUCTURES
-from ..._types import Array
-from ..data.channels import Recording
+from ..._types import Array, Indices
+from ..data.channels import Channels, Recording
 from ..data.hammer import Hits
 from ..diagnosis.verdict import Outcome
 from ..regression.prediction import predicted_outputs
 from ..search.findings import Cause, Finding
 from ..structure.choice import Request
-from .scaled_shapes import places_of_modes, shape_errors
-from .sensitivities import RecordDerivatives, least_squares, noise_of
+from .scaled_shapes import blocks_of_modes, shape_errors
+from .sensitivities import RecordDerivatives, known_parameters, noise_of, root_of_covariance, without_others
 
 Fit = Callable[..., Any]
 
@@ -35,6 +34,74 @@ _NEAR = 0.1  # standard errors that a correction may still move the estimates by
 _WORTH_SAYING = 1.1  # times that standard errors of residues grow
 
 
+def beside_hammer_noise(channels: Channels, request: Request, fit: Fit) -> Any:
+    """The fit with a hammer's force 0 outside its contacts and in error within, where that explains the outputs better.
+
+    Forces are corrected by their likeliest errors, and standard errors are those beside them.  The errors are those
+    beside classical damping, where that is not rejected then: what hits have in common shows in phases of residues.
+
+    Parameters
+    ----------
+    channels : tuple
+        What was measured.
+    request : Request
+        What is assumed.
+    fit : callable
+        Fits recordings, of a `structure`: from some poles and of a given order in `plain` noise, or anew.
+    """
+    hits = Hits.of(channels)
+    if hits is None:
+        return fit(channels)
+    named = Finding(Cause.HAMMER_NOISE, (hits.noise, hits.peak), 0.0)
+    first = fit(hits.records, plain=True, findings=(named,))
+    if first.outcome is Outcome.INTERRUPTED:
+        return first
+    # what the channel shows between hits may be a force
+    if first.states:
+        rival = fit(channels, first.poles, order=first.order, plain=True)
+        if rival.outcome is not Outcome.INTERRUPTED and rival.loglik > first.loglik:
+            return fit(channels)
+    if not first.states or hits.responses > _MOST:
+        return fit(hits.records, findings=(named,))
+    begun, noise = _in_plain_noise(first, hits, request, fit, named)
+    if noise.is_over:
+        return noise.result
+    known = [named]
+    if noise.growth > _WORTH_SAYING:
+        sizes = hits.noise, hits.peak, noise.growth
+        known.append(Finding(Cause.CONTACT_NOISE, sizes, max(noise.loglik - begun.loglik, 0.0)))
+    result = fit(hits.corrected(noise.errors), findings=tuple(known))
+    noise = ForceNoise.of(result, hits, noise.errors).settled(fit, findings=tuple(known))
+    return noise.result if noise.is_over else _widened(noise, request)
+
+
+def _in_plain_noise(
+    first: Any, hits: Hits, request: Request, fit: Fit, named: Finding
+) -> tuple[ForceNoise, ForceNoise]:  # fmt: skip
+    """Errors of the forces before and after they were corrected, of the simplest structure that is not rejected."""
+    structure = "classical" if request.structure == "auto" else request.structure
+    how = {"plain": True, "findings": (named,)}
+    start = first if first.structure == structure else _again(first, hits.records, fit, structure=structure, **how)
+    begun = ForceNoise.of(start, hits, np.zeros(hits.samples))
+    noise = begun.settled(fit, structure=structure, **how)
+    if noise.is_over:
+        return begun, noise
+    if _again(noise.result, hits.corrected(noise.errors), fit, **how).structure not in (structure, *STRUCTURES[:2]):
+        start = _again(noise.result, hits.records, fit, structure="free", **how)
+        noise = ForceNoise.of(start, hits, np.zeros(hits.samples)).settled(fit, structure="free", **how)
+    return begun, noise
+
+
+def _again(result: Any, records: Any, fit: Fit, **how: Any) -> Any:
+    """The fit of other records from the poles of a result."""
+    return fit(records, result.poles, order=result.order, **how)
+
+
+def _is_over(result: Any) -> bool:
+    """Whether a fit was interrupted, or has no poles."""
+    return not result.states or result.outcome is Outcome.INTERRUPTED
+
+
 @dataclass(frozen=True, eq=False)
 class ForceNoise:
     """Errors of the forces of hits, over their standard deviation, beside the parameters of a fit.
@@ -42,147 +109,127 @@ class ForceNoise:
     Attributes
     ----------
     result : PEMResult
-        The fit.
-    spreads : sequence of ndarray or None
-        Standard deviation (m, T) of the errors in each recording.
+        The fit to hits that were corrected by the errors.
+    hits : Hits
+        What was measured.
     errors : ndarray, shape (c,)
-        What forces were corrected by already.
-    information, score : ndarray, shapes (c, c) and (c,)
-        Information of the outputs on the errors at given parameters, and the gradient of the log-likelihood.
-    crossed, parameter_score : ndarray, shapes (k, c) and (k,)
-        Information that errors share with the parameters, and the gradient by these.
-    of_parameters : ndarray, shape (k, k)
-        Information of the outputs on the parameters.
+        What forces were corrected by.
+    known : ndarray of int, shape (k,)
+        Places in the covariance of the parameters that have an error.
+    information, score : ndarray, shapes (k + c, k + c) and (k + c,)
+        Information of the outputs on parameters and errors, and the gradient of the log-likelihood; nothing of a fit
+        that was interrupted, or has no poles.
     """
 
     result: Any
-    spreads: Sequence[Array | None]
+    hits: Hits
     errors: Array
+    known: Indices
     information: Array
     score: Array
-    crossed: Array
-    parameter_score: Array
-    of_parameters: Array
 
     @classmethod
-    def of(cls, result: Any, recordings: Sequence[Any], hits: Hits, errors: Array | None = None) -> ForceNoise:
-        """That of a fit to recordings, whose forces were corrected by some errors."""
+    def of(cls, result: Any, hits: Hits, errors: Array) -> ForceNoise:
+        """That of a fit to hits that were corrected by some errors."""
+        known = known_parameters(result.covariance)
+        if _is_over(result):
+            return cls(result, hits, errors, known, np.zeros((0, 0)), np.zeros(0))
+        records = zip(hits.corrected(errors), hits.spreads, result.experiments, strict=True)
         parts = [
-            _of_recording(result, recording, experiment, spread)
-            for recording, experiment, spread in zip(recordings, result.experiments, hits.spreads, strict=True)
+            _of_recording(result, known, recording, spread, experiment) for recording, spread, experiment in records
             if spread is not None
         ]  # fmt: skip
-        information, score, crossed, *by_parameters = zip(*parts, strict=True)
-        scores = np.concatenate(score)
-        return cls(
-            result, hits.spreads, np.zeros(len(scores)) if errors is None else errors, block_diag(*information), scores,
-            np.concatenate(crossed, axis=1), *(np.sum(each, axis=0) for each in by_parameters),
-        )  # fmt: skip
+        k = len(known)
+        shared, own = sum(normal[:k, :k] for normal, _ in parts), block_diag(*(normal[k:, k:] for normal, _ in parts))
+        crossed = np.concatenate([normal[:k, k:] for normal, _ in parts], axis=1)
+        score = np.concatenate([sum(score[:k] for _, score in parts), *(score[k:] for _, score in parts)])
+        return cls(result, hits, errors, known, np.block([[shared, crossed], [crossed.T, own]]), score)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the fit was interrupted, or has no poles."""
+        return _is_over(self.result)
+
+    def settled(self, fit: Fit, **how: Any) -> ForceNoise:
+        """Errors and a fit that agree, by fits and corrections in turn."""
+        latest = self
+        for _ in range(_ROUNDS):
+            if latest.is_over or latest.shift < _NEAR:
+                break
+            errors = latest.errors + latest.step
+            again = _again(latest.result, self.hits.corrected(errors), fit, **how)
+            latest = ForceNoise.of(again, self.hits, errors)
+        return latest
 
     @cached_property
     def covariance(self) -> Array:
         """Covariance (k, k) of the parameters where forces have no errors, along the directions of the structure."""
-        stated = np.nan_to_num(self.result.covariance)
-        sizes = np.sqrt(np.maximum(np.diag(stated), 0.0))
-        sizes = np.where(sizes > 0, sizes, 1.0)
-        values, vectors = np.linalg.eigh(stated / np.outer(sizes, sizes))
-        basis = sizes[:, None] * vectors[:, values > len(values) * EPS * values.max(initial=0.0)]
-        return np.asarray(basis @ np.linalg.pinv(basis.T @ self.of_parameters @ basis, hermitian=True) @ basis.T)
+        k, basis = len(self.known), root_of_covariance(self.result.covariance, self.known)
+        return np.asarray(basis @ np.linalg.pinv(basis.T @ self.information[:k, :k] @ basis, hermitian=True) @ basis.T)
+
+    @cached_property
+    def moved(self) -> Array:
+        """Change (k, c) of the parameters for each error of the forces, but for the sign."""
+        k = len(self.known)
+        return np.asarray(self.covariance @ self.information[:k, k:])
 
     @cached_property
     def posterior(self) -> Array:
         """Covariance (c, c) of the errors."""
-        own = self.information - self.crossed.T @ self.covariance @ self.crossed
+        k = len(self.known)
+        own = self.information[k:, k:] - self.information[k:, :k] @ self.moved
         return np.linalg.inv(np.eye(len(own)) + 0.5 * (own + own.T))
 
     @cached_property
     def step(self) -> Array:
         """What is to be added to the errors (c,)."""
-        score = self.score - self.errors - self.crossed.T @ (self.covariance @ self.parameter_score)
-        return np.asarray(self.posterior @ score)
+        k = len(self.known)
+        return np.asarray(self.posterior @ (self.score[k:] - self.errors - self.moved.T @ self.score[:k]))
 
     @property
     def shift(self) -> float:
         """Standard errors that the step moves an estimate by, at most."""
-        moved = self.covariance @ (self.crossed @ self.step)
-        sizes = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        return float(np.max(np.abs(moved[sizes > 0]) / sizes[sizes > 0], initial=0.0))
+        sizes = np.sqrt(np.diag(self.covariance))
+        return float(np.max(np.abs(self.moved @ self.step) / np.where(sizes > 0, sizes, np.inf), initial=0.0))
 
     @cached_property
     def widened(self) -> Array:
-        """Covariance (k, k) of the parameters beside errors of the forces, NaN where it was."""
-        moved = self.covariance @ self.crossed
-        return np.asarray(self.result.covariance + moved @ self.posterior @ moved.T)
+        """Covariance of all parameters beside errors of the forces, NaN where it was."""
+        covariance = np.array(self.result.covariance)
+        covariance[np.ix_(self.known, self.known)] += self.moved @ self.posterior @ self.moved.T
+        return covariance
 
     @property
     def growth(self) -> float:
         """How many times the standard errors of residues are those without errors of the forces, at most."""
-        stated, beside = (
-            np.diag(each)[2 * len(self.result.poles) :] for each in (self.result.covariance, self.widened)
-        )
-        return float(np.sqrt(np.max((beside[stated > 0] / stated[stated > 0]), initial=1.0)))
+        residues = self.known[self.known >= 2 * len(self.result.poles)]
+        ratios = np.diag(self.widened)[residues] / np.diag(self.result.covariance)[residues]
+        return float(np.sqrt(ratios.max(initial=1.0)))
 
     @property
     def loglik(self) -> float:
-        """Log-likelihood of the fit beside errors of the forces."""
-        return float(self.result.loglik) + self.loglik_beside
-
-    @property
-    def loglik_beside(self) -> float:
-        """What errors of the forces cost of the log-likelihood, integrated over them."""
-        return -0.5 * float(
-            self.errors @ self.errors + np.linalg.slogdet(np.eye(len(self.errors)) + self.information)[1]
-        )
-
-    def corrections(self, errors: Array) -> list[Array | None]:
-        """Corrections (m, T) of the force of each recording by errors (c,)."""
-        corrections: list[Array | None] = []
-        rest = errors
-        for spread in self.spreads:
-            if spread is None:
-                corrections.append(None)
-                continue
-            each = np.zeros(spread.shape)
-            count = int(np.sum(spread > 0))
-            each[spread > 0] = spread[spread > 0] * rest[:count]
-            corrections.append(each)
-            rest = rest[count:]
-        return corrections
+        """Log-likelihood of the fit beside errors of the forces, integrated over these."""
+        k = len(self.known)
+        determinant = np.linalg.slogdet(np.eye(len(self.errors)) + self.information[k:, k:])[1]
+        return float(self.result.loglik - 0.5 * (self.errors @ self.errors + determinant))
 
 
-def is_small(hits: Hits, result: Any) -> bool:
-    """Whether responses to all samples of contacts can be held."""
-    sizes = [np.sum(spread > 0) * spread.shape[1] for spread in hits.spreads if spread is not None]
-    return len(result.residues[0]) * max(sizes) <= _MOST
-
-
-def _of_recording(result: Any, recording: Recording, experiment: Any, spread: Array) -> tuple[Array, ...]:
-    """Information and score of the errors of a recording; that shared with parameters; score, information of these."""
+def _of_recording(
+    result: Any, known: Indices, recording: Recording, spread: Array, experiment: Any
+) -> tuple[Array, Array]:  # fmt: skip
+    """Information of a recording on known parameters and on the errors of its force, and the score of both."""
     moving = bool(np.any(experiment.free_amplitudes))
-    stderr = np.append(experiment.offset_stderr, np.nan)
-    derivatives = RecordDerivatives(result, recording, moving, bool(np.any(np.isfinite(stderr))))
+    offset = bool(np.any(np.isfinite(experiment.offset_stderr)))
+    derivatives = RecordDerivatives(result, recording, moving, offset)
     left_over = np.nan_to_num(recording.y - np.atleast_2d(experiment.predicted))
     places, own = derivatives.of_outputs()
+    poles = derivatives.of_poles(np.reshape(experiment.free_amplitudes, (len(result.poles), -1)))
     forces = _responses_to_errors(result, derivatives, spread)
-    amplitudes = np.reshape(experiment.free_amplitudes, (len(result.poles), -1))
-    shared = np.concatenate([derivatives.of_poles(amplitudes), forces])
-    whitened = derivatives.whitened(left_over, shared, own, places)
+    whitened = derivatives.whitened(left_over, np.concatenate([poles, forces]), own, places)
+    errors = len(result.covariance) + np.arange(len(forces))  # places behind those of the parameters
+    whitened = replace(whitened, shared_places=np.append(np.arange(len(poles)), errors))
     weight = np.asarray(np.linalg.pinv(noise_of(result, whitened)[0], hermitian=True))
-    normal, score = whitened.products(weight)
-    # what is the record's own is projected out
-    known, c = ~np.isnan(np.diag(result.covariance)), len(forces)
-    places = np.append(whitened.shared_places[: len(shared) - c], np.full(c, -2))
-    places = np.append(places, whitened.places[len(shared) :])
-    record_own, of_errors = places == -1, places == -2
-    of_parameters = (places >= 0) & np.append(known, False)[np.maximum(places, -1)]
-    moved = np.array([least_squares(normal[np.ix_(record_own, record_own)], row) for row in normal[:, record_own]])
-    normal, score = normal - moved @ normal[record_own], score - moved @ score[record_own]
-    crossed, parameter_score = np.zeros((len(known), c)), np.zeros(len(known))
-    crossed[places[of_parameters]] = normal[np.ix_(of_parameters, of_errors)]
-    parameter_score[places[of_parameters]] = score[of_parameters]
-    by_parameters = np.zeros((len(known), len(known)))
-    by_parameters[np.ix_(places[of_parameters], places[of_parameters])] = normal[np.ix_(of_parameters, of_parameters)]
-    return normal[np.ix_(of_errors, of_errors)], score[of_errors], crossed, parameter_score, by_parameters
+    return without_others(*whitened.products(weight), whitened.places, np.append(known, errors))
 
 
 def _responses_to_errors(result: Any, derivatives: RecordDerivatives, spread: Array) -> Array:
@@ -197,69 +244,15 @@ def _responses_to_errors(result: Any, derivatives: RecordDerivatives, spread: Ar
     return np.array(responses)
 
 
-def beside_force_noise(first: Any, hits: Hits, request: Request, fit: Fit) -> Any:
-    """The fit to hits whose forces are corrected by their likeliest errors, with the standard errors beside these.
-
-    The errors are those beside classical damping, where that is not rejected then: what errors have in common shows in
-    phases of residues only.
-
-    Parameters
-    ----------
-    first : PEMResult
-        Fit to the hits in plain noise.
-    hits : Hits
-        What was measured, and the noise of the forces.
-    request : Request
-        What is assumed.
-    fit : callable
-        Fits recordings, of a `structure`: from some poles and of a given order in `plain` noise, or anew.
-    """
-    named = Finding(Cause.HAMMER_NOISE, (hits.noise, hits.peak), 0.0)
-    if not is_small(hits, first):
-        return fit(hits.records, findings=(named,))
-
-    def corrected(latest: Any, records: Any, errors: Array | None, **how: Any) -> tuple[Any, Any, ForceNoise]:
-        """Fit and correct forces in turn, from a fit to records of some errors."""
-        for _ in range(_ROUNDS):
-            noise = ForceNoise.of(latest, records, hits, errors)
-            if noise.shift < _NEAR:
-                break
-            errors = noise.errors + noise.step
-            records = hits.with_forces(noise.corrections(errors))
-            latest = fit(records, latest.poles, order=latest.order, **how)
-            if not latest.states or latest.outcome is Outcome.INTERRUPTED:
-                break
-        return latest, records, noise
-
-    structure = "classical" if request.structure == "auto" else request.structure
-    start = fit(hits.records, first.poles, order=first.order, plain=True, structure=structure)
-    before = ForceNoise.of(start, hits.records, hits).loglik
-    latest, records, noise = corrected(start, hits.records, None, plain=True, structure=structure)
-    if fit(records, latest.poles, order=latest.order, plain=True).structure not in (structure, *STRUCTURES[:2]):
-        start = fit(hits.records, latest.poles, order=latest.order, plain=True, structure="free")
-        latest, records, noise = corrected(start, hits.records, None, plain=True, structure="free")
-    known = [named]
-    if noise.growth > _WORTH_SAYING:
-        sizes = hits.noise, hits.peak, noise.growth
-        known.append(Finding(Cause.CONTACT_NOISE, sizes, max(noise.loglik - before, 0.0)))
-    how = {"findings": tuple(known)}
-    latest, records, noise = corrected(fit(records, **how), records, noise.errors, **how)
-    if not latest.states or latest.outcome is Outcome.INTERRUPTED or not is_small(hits, latest):
-        return latest
-    return _widened(noise, request)
-
-
 def _widened(noise: ForceNoise, request: Request) -> Any:
     """The result with the errors and the likelihood that it has beside errors of the forces."""
-    result, covariance = noise.result, noise.widened
-    ports = () if request.assumed and result.structure == "free" else request.ports
+    result, cost = noise.result, noise.loglik - noise.result.loglik
     modes = int(np.sum(result.poles.imag != 0))
-    shape_stderr = shape_errors(
-        result.poles[:modes], result.residues[:modes], request.quantities, ports,
-        [np.nan_to_num(covariance[np.ix_(places, places)]) for places in places_of_modes(result.residues, modes)],
+    errors = shape_errors(
+        result.poles[:modes], result.residues[:modes], request.quantities, request.ports_of(result.structure),
+        blocks_of_modes(noise.widened, result.residues, modes),
     )  # fmt: skip
-    cost = noise.loglik_beside
     return replace(
-        result, covariance=covariance, shape_stderr=shape_stderr, loglik=noise.loglik, aic=result.aic - 2 * cost,
+        result, covariance=noise.widened, shape_stderr=errors, loglik=noise.loglik, aic=result.aic - 2 * cost,
         bic=result.bic - 2 * cost,
     )  # fmt: skip

@@ -116,13 +116,12 @@ def shape_errors(
     return errors
 
 
-def places_of_modes(residues: ComplexArray, n: int) -> list[list[int]]:
-    """Places of `(d, zeta, Re rho, Im rho)` of the first n modes in a covariance, of residues (count, p, m)."""
-    count, each, size = len(residues), residues[0].size if len(residues) else 0, residues.size
-    return [
-        [l, count + l, *(2 * count + part * size + l * each + k for part in (0, 1) for k in range(each))]
-        for l in range(n)
-    ]
+def blocks_of_modes(covariance: Array, residues: ComplexArray, n: int) -> list[Array]:
+    """Covariances of `(d, zeta, Re rho, Im rho)` of the first n modes, of residues (count, p, m); 0 where not known."""
+    count, size = len(residues), residues.size
+    entries = np.arange(size).reshape(count, size // max(1, count))
+    places = [[l, count + l, *(2 * count + entries[l]), *(2 * count + size + entries[l])] for l in range(n)]
+    return [np.nan_to_num(covariance[np.ix_(indices, indices)]) for indices in places]
 
 
 def shape_jacobian(pole: complex, residue: ComplexArray, quantities: Sequence[str], ports: Ports) -> Array:

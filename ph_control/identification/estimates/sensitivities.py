@@ -23,6 +23,8 @@ from ..regression.prediction import predicted_outputs, unknown_samples
 _STEP = 1e-5  # of a pole over its size, and of a delay over the sampling step, in central differences
 _MOST = 300_000_000  # numbers in the derivatives
 _SINGULAR = 1e-9  # of the largest singular value of free motions: less is rounding
+CORRELATED = 1e-11  # of the largest eigenvalue of a correlation matrix: less is rounding of a constraint
+_BLIND = 1e-11  # of the squares of unit derivatives: what other unknowns do as well
 _ROUNDING = 1e-9  # of the size of an output, below which its errors are no noise
 
 
@@ -103,6 +105,42 @@ def least_squares(normal: Array, gradient: Array) -> Array:
     sizes = np.where(sizes > 0, sizes, 1.0)
     inverse = np.linalg.pinv(normal / np.outer(sizes, sizes), rcond=len(sizes) * EPS * 100, hermitian=True)
     return np.asarray(inverse @ (gradient / sizes) / sizes)
+
+
+def known_parameters(covariance: Array) -> Indices:
+    """Places of parameters that have an error."""
+    variances = np.diag(covariance)
+    return np.flatnonzero(np.isfinite(variances) & (variances > 0))
+
+
+def root_of_covariance(covariance: Array, places: Indices) -> Array:
+    """Square root (k, q) of the covariance of parameters at some places (k,).
+
+    Its columns span what constraints on them allow; along each they have the error 1.
+    """
+    sizes = np.sqrt(np.diag(covariance)[places])
+    values, vectors = np.linalg.eigh(covariance[np.ix_(places, places)] / np.outer(sizes, sizes))
+    kept = values > CORRELATED * values.max()
+    return np.asarray(sizes[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
+
+
+def without_others(normal: Array, gradient: Array, places: Indices, tested: Indices) -> tuple[Array, Array]:
+    """Information and score of the tested parameters, where all other unknowns are those of the new record."""
+    first = np.array([int(np.flatnonzero(places == place)[0]) for place in tested])
+    others = np.setdiff1d(np.arange(len(places)), first)
+    sizes = np.sqrt(np.maximum(np.diag(normal), 0.0))
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    normal, gradient = normal / np.outer(sizes, sizes), gradient / sizes
+    mixed, inner = normal[np.ix_(first, others)], normal[np.ix_(others, others)]
+    solved = mixed @ np.linalg.pinv(inner, rcond=len(others) * EPS * 100, hermitian=True) if len(others) else mixed
+    information = normal[np.ix_(first, first)] - solved @ mixed.T
+    # what the other unknowns do as well is rounding of the difference
+    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
+    kept = vectors[:, values > _BLIND]
+    information = kept * values[values > _BLIND] @ kept.T
+    score = kept @ (kept.T @ (gradient[first] - solved @ gradient[others]))
+    own = sizes[first]
+    return information * np.outer(own, own), score * own
 
 
 def mixes_outputs(noise: Any) -> bool:

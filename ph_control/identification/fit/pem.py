@@ -35,13 +35,10 @@ from ...exceptions import IdentifiabilityWarning, StructureError
 from ...systems.base import Convertible
 from ..data.channels import Channels, ResponseHold
 from ..data.experiments import as_channels
-from ..data.hammer import Hits
 from ..data.quantities import ports_of, quantity_of
 from ..diagnosis.verdict import WHITE, Outcome
-from ..estimates.force_noise import Fit, beside_force_noise
+from ..estimates.force_noise import beside_hammer_noise
 from ..parameters.model_function import ModelFunction
-from ..search.starting_poles import poles_of
-from ..structure.choice import Request
 from ..structure.parametric import PARAMETRIC, for_channels
 from .modal_fit import fit_channels
 from .options import Options, request_of, starting_poles
@@ -285,7 +282,7 @@ def pem(
 
     with heard_by(callback) as heartbeat:
         options = replace(options, callback=heartbeat)
-        result = _beside_hammer_noise(channels, request, fit)
+        result = beside_hammer_noise(channels, request, fit)
         for hold in others:
             if result.outcome is Outcome.INTERRUPTED or _is_explained(result, structure):
                 break
@@ -341,21 +338,6 @@ def _of_records(intersample: FittedInterpolation, channels: Channels) -> Interpo
             "N), or use 'zoh' or 'foh' for records"
         )
     return "zoh"
-
-
-def _beside_hammer_noise(channels: Channels, request: Request, fit: Fit) -> PEMResult:
-    """Fit with the force of a hammer 0 outside its contacts, where that explains the outputs better."""
-    hits = Hits.of(channels)
-    if hits is None:
-        return fit(channels)
-    result = fit(hits.records, plain=True)
-    if not result.states or result.outcome is Outcome.INTERRUPTED:
-        return result
-    # what the channel shows between hits may be a force
-    rival = fit(channels, poles_of(result), order=result.order, plain=True)
-    if rival.outcome is not Outcome.INTERRUPTED and rival.loglik > result.loglik:
-        return fit(channels)
-    return beside_force_noise(result, hits, request, fit)
 
 
 prediction_error_fit = pem

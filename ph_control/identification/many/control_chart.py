@@ -26,7 +26,8 @@ from ..._types import Array, Indices, Unpack
 from ..._units import hertz_size
 from ...exceptions import StructureError
 from ...plotting.style import ZERO, AxesGiven, FrameStyle, Look, picture
-from ..change.score_test import ChangeTest, Score, known_parameters, root_of_covariance
+from ..change.score_test import ChangeTest, Score
+from ..estimates.sensitivities import known_parameters, root_of_covariance
 from .recordings import Modes
 
 _SHOWN = 40  # lines of a table, beyond which its middle is left out

@@ -46,7 +46,7 @@ def _shifted(signals: Array, seen: slice, samples: Indices, lasting: bool) -> Ar
     return np.concatenate([np.repeat(lasting * signals[:, :1], -first, axis=1), shifted], axis=1)
 
 
-def change_seldom(u: Array, first: int) -> bool:
+def _change_seldom(u: Array, first: int) -> bool:
     """Whether an input (m, T) has much of its changes in the first samples, as a step has."""
     lost = np.sum(np.diff(u[:, : first + 1]) ** 2, axis=1)
     # of inputs that go on changing a beginning tells
@@ -244,11 +244,11 @@ class FreeRecord:
         known, dead = self.whole_record or WholeRecord(self.u, self.y, self.observed, 0, 0, self.level), self._dead
         ends = [samples, *(bound / self.hold.h for bound in (least, most) if bound is not None)]
         first = max(known.first, int(np.ceil(max(ends))) + int(dead.max())) * self.moving
-        lasting = change_seldom(known.u, first) if self.known_lasting is None else self.known_lasting
+        lasting = _change_seldom(known.u, first) if self.known_lasting is None else self.known_lasting
         lasting = lasting and self.moving and first > 0
         first = 0 if lasting else first
         last = max(known.last, -int(np.floor(min(ends))) - int(dead.min()))
-        if not (samples or first or last or dead.any()):
+        if self.whole_record is None and not (samples or first or last or dead.any()):
             return self
         moving = self.moving or samples < 0
         shift = int(np.floor(samples))

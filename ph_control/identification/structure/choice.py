@@ -33,6 +33,10 @@ class Request:
     coloured: bool = True
     function: ModelFunction | None = None
 
+    def ports_of(self, structure: str) -> tuple[tuple[int, int], ...]:
+        """Driving points of a structure: one that was not named holds only where the structure does."""
+        return () if self.assumed and structure == "free" else self.ports
+
 
 @dataclass(frozen=True)
 class Choice:
