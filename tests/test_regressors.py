@@ -430,3 +430,11 @@ def test_poles_by_frequency_fit_the_same_data_as_in_any_order(offset, moving, dr
     np.testing.assert_allclose(sorted_.losses, anew.losses, rtol=1e-10)
     for known, other in ((sorted_.shared, anew.shared), (sorted_.own[0], anew.own[0]), (sorted_.gram, anew.gram)):
         np.testing.assert_allclose(known, other, rtol=0, atol=1e-7 * np.abs(other).max(initial=0.0))
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_a_record_without_its_delay_is_as_before(moving):
+    u = np.where(np.arange(40) < 2, 5.0, 7.0)[None]
+    record = FreeRecord(u, 0 * u, np.ones(40, bool), Hold(1.0, "exact", "zoh"), moving=moving)
+    again = record.delayed(3.0).delayed(0.0)
+    assert again.delay == 0 and np.array_equal(again.u, u)

@@ -5,8 +5,6 @@ import numpy as np
 import pytest
 
 import ph_control as phc
-from ph_control.identification.regression.time_rows import FreeRecord
-from ph_control.modal.discretization import Hold
 
 
 def step_test(delay, first, *, gain=2.0, constant=12.0, samples=200, seed=0, noise=0.005):
@@ -40,11 +38,3 @@ def test_an_input_that_changes_once_lasted_before_the_record(delay, intersample)
     again = np.ravel(result.predict(u, initial_state="fitted").outputs)
     np.testing.assert_allclose(again[5:], experiment.predicted[5:], rtol=0, atol=1e-9)
     assert np.std(experiment.predicted - y) < 0.03
-
-
-@pytest.mark.parametrize("moving", [False, True])
-def test_a_record_without_its_delay_is_as_before(moving):
-    u = np.where(np.arange(40) < 2, 5.0, 7.0)[None]
-    record = FreeRecord(u, 0 * u, np.ones(40, bool), Hold(1.0, "exact", "zoh"), moving=moving)
-    again = record.delayed(3.0).delayed(0.0)
-    assert again.delay == 0 and np.array_equal(again.u, u)
