@@ -34,7 +34,84 @@ def test_an_input_that_changes_once_lasted_before_the_record(delay, intersample)
     result = phc.pem((u, y), 0, dt=1.0, quantity="free", **known)
     (experiment,) = result.experiments
     assert np.isfinite(experiment.predicted).all()
-    # what a result states of motion, constant and poles gives the same from the first sample that known inputs act in
+    # what a result states of motion, constant and poles gives the same
     again = np.ravel(result.predict(u, initial_state="fitted").outputs)
-    np.testing.assert_allclose(again[5:], experiment.predicted[5:], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(again, experiment.predicted, rtol=0, atol=1e-9)
     assert np.std(experiment.predicted - y) < 0.03
+
+
+@pytest.mark.parametrize("delay", [0.0, 3.0, 2.4])
+def test_a_step_from_an_operating_point_tells_what_one_from_zero_does(delay):
+    u, y = step_test(delay, 20, noise=0.02)
+    result, from_zero = (phc.pem((inputs, y), dt=1.0, quantity="free") for inputs in (u, u - u[0]))
+    np.testing.assert_allclose(result.poles, from_zero.poles, rtol=1e-6)
+    np.testing.assert_allclose(result.residues, from_zero.residues, rtol=1e-6)
+    np.testing.assert_allclose(result.delay, from_zero.delay, rtol=1e-6, atol=1e-9)
+    (gain,) = np.ravel(ct.dcgain(result.system))
+    # the constant is that of the plant without an input
+    np.testing.assert_allclose(result.offsets[0], from_zero.offsets[0] - 5 * gain, rtol=1e-9)
+    assert abs(result.offsets[0] - (30 - 5 * 2.0)) < 4 * result.stderr["offset"]
+    assert abs(gain - 2.0) < 0.1
+    assert result.stderr["offset"] > 3 * from_zero.stderr["offset"]
+    again = np.ravel(result.predict(u, initial_state="fitted").outputs)
+    predicted = result.experiments[0].predicted
+    np.testing.assert_allclose(again, predicted, rtol=0, atol=1e-9)
+    # so has what is estimated of the motion anew
+    np.testing.assert_allclose(np.ravel(result.predict((u, y)).outputs), predicted, rtol=0, atol=0.1)
+
+
+@pytest.mark.parametrize("first", [1, 2])
+def test_a_step_just_after_the_first_sample_shows_the_gain(first):
+    k = np.arange(300)
+    y = ct.forced_response(ct.c2d(ct.tf([2.0], [12, 1]), 1.0), k, np.where(k < first, 0.0, 1.0)).outputs
+    y += 0.02 * np.random.default_rng(first).standard_normal(300)
+    result = phc.pem((np.where(k < first, 5.0, 6.0), y), dt=1.0, quantity="free")
+    assert (result.order, len(result.time_constants)) == (0, 1)
+    np.testing.assert_allclose(np.ravel(ct.dcgain(result.system)), 2.0, rtol=0.01)
+
+
+def test_bootstrap_of_a_record_at_rest_is_of_one_at_rest(tmp_path):
+    u, y = step_test(0.0, 20, noise=0.02)
+    result = phc.pem((u, y), dt=1.0, quantity="free", noise="white")
+    drawn = result.bootstrap(60, rng=0)
+    stated = np.array([result.stderr["real_poles"][0], result.stderr["offset"][0]])
+    spread = np.std(np.column_stack([drawn.poles.real, drawn.offset]), axis=0)
+    assert np.all(np.abs(np.log(spread / stated)) < 0.3)
+    result.save(tmp_path / "step.json")
+    assert phc.load(tmp_path / "step.json").experiments[0].resting
+
+
+def test_steps_of_two_inputs_from_operating_points():
+    rng = np.random.default_rng(0)
+    k = np.arange(400)
+    u = np.array([np.where(k < 15, 3.0, 4.0), np.where(k < 150, -2.0, -1.0)])
+    gain = np.array([[1.0, 0.5], [-0.3, 2.0]])
+    plant = ct.tf(gain[:, :, None].tolist(), [[[10, 1], [25, 1]], [[25, 1], [10, 1]]])
+    y = ct.forced_response(ct.c2d(ct.ss(plant), 1.0), k, u - u[:, :1]).outputs
+    y += np.array([[7.0], [-4.0]]) + gain @ u[:, :1] + 0.01 * rng.standard_normal(y.shape)
+    result = phc.pem((u, y), dt=1.0, quantity="free")
+    assert np.abs(np.sort(result.time_constants) / [10, 25] - 1).max() < 0.03
+    (experiment,) = result.experiments
+    assert np.all(np.abs(experiment.offsets - [7, -4]) < 4 * experiment.offset_stderr)
+    again = result.predict(u, initial_state="fitted").outputs
+    np.testing.assert_allclose(again, experiment.predicted, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["in motion", "without a constant", "integrator"])
+def test_what_is_not_at_rest_at_an_operating_point_may_move(kind):
+    rng = np.random.default_rng(3)
+    k = np.arange(400)
+    u = np.where(k < 12, 5.0, 7.0)
+    plant = ct.tf([1], [10, 1, 0]) if kind == "integrator" else ct.tf([2.0], [16, 0.8, 1])
+    state = np.zeros(2) if kind == "integrator" else -np.linalg.solve(ct.ss(plant).A, ct.ss(plant).B[:, 0] * 5.0)
+    state = state + np.array([40.0, 0.0]) * (kind == "in motion")
+    y = ct.forced_response(ct.c2d(ct.ss(plant), 1.0), k, u - 5.0 * (kind == "integrator"), state).outputs
+    y = y + 0.02 * rng.standard_normal(400)
+    result = phc.pem((u, y), dt=1.0, quantity="free", offset=False if kind == "without a constant" else "auto")
+    if kind == "integrator":
+        assert np.abs(result.real_poles).min() < 1e-3
+    else:
+        np.testing.assert_allclose(2 * np.pi * result.hertz, 0.25, rtol=0.01)
+        np.testing.assert_allclose(np.ravel(ct.dcgain(result.system)), 2.0, rtol=0.02)
+    assert result.fit_percent > 97
+    assert np.any(result.experiments[0].free_amplitudes)

@@ -39,7 +39,8 @@ Labels = tuple[str, ...]
 
 
 _ACTING = 0.01  # of its largest value: an input that acts
-_QUIET = range(3, 17)  # samples before that: fewer show nothing, more tell the motion of eight modes by themselves
+_QUIET = 3  # samples before that: fewer do not show whether outputs move
+_FEW_CHANGES = 20  # samples in which inputs that step change
 _STILL = 1 / 3  # of the outputs that follow: what outputs are before that, of a system at rest
 
 
@@ -101,6 +102,11 @@ class Recording(InTime):
         return 0.0
 
     @property
+    def steady(self) -> Array | float:
+        """What was subtracted from the inputs (m,): values that they are taken to have had long before."""
+        return 0.0
+
+    @property
     def level(self) -> Array | None:
         """Noise of each sample of the outputs over that of the recording, shape (p, T); None where it is the same."""
         return None
@@ -111,19 +117,25 @@ class Recording(InTime):
         return self
 
     def adjusted(
-        self, unit: float | None = None, hum: Array | float | None = None, level: Array | None = None
+        self,
+        unit: float | None = None,
+        hum: Array | float | None = None,
+        level: Array | None = None,
+        steady: Array | float | None = None,
     ) -> Recording:
         """The same with another hum subtracted from the outputs, and with inputs and outputs divided by a number.
 
-        A `level` of the noise is kept beside them.
-        """
+        So is it with other `steady` values subtracted from the inputs; a `level` of the noise is kept beside them.
+        """  # fmt: skip
         unit, hum = self.unit if unit is None else unit, self.hum if hum is None else hum
-        level = self.level if level is None else level
-        if unit == 1 and not np.any(hum) and level is None:
+        level, steady = self.level if level is None else level, self.steady if steady is None else steady
+        if unit == 1 and not np.any(hum) and level is None and not np.any(steady):
             return self.original
         given = {part.name: getattr(self.original, part.name) for part in fields(Recording)}
-        given |= {"u": given["u"] / unit, "y": (given["y"] - hum) / unit}
-        return AdjustedRecording(**given, whole=self.original, divisor=unit, subtracted=hum, levels=level)
+        given |= {"u": (given["u"].T - steady).T / unit, "y": (given["y"] - hum) / unit}
+        return AdjustedRecording(
+            **given, whole=self.original, divisor=unit, subtracted=hum, levels=level, before=steady
+        )
 
     @property
     def changes(self) -> Indices:
@@ -144,21 +156,38 @@ class Recording(InTime):
         return bool(self.u.any())
 
     @property
-    def begins_at_rest(self) -> bool:
-        """Whether outputs are small, beside what follows, in the few samples before an input acts."""
-        largest: Array = np.maximum(self.u.max(axis=1, initial=0.0), -self.u.min(axis=1, initial=0.0))
-        acting = (np.abs(self.u[:, : _QUIET.stop]) > _ACTING * largest[:, None]).any(axis=0)
-        first = int(np.argmax(acting))
-        if first not in _QUIET:
-            return False
+    def inputs_at_rest(self) -> Array | None:
+        """Inputs (m,) of a record that may begin at rest, before they first change; None of others.
+
+        At rest outputs change little, beside what follows, in the few samples before.  Where inputs are not 0 then, or
+        two samples tell nothing, they change seldom: of others a motion at first hides nothing.
+        """
+        moves = np.abs(self.u - self.u[:, :1])
+        acting = (moves > _ACTING * moves.max(axis=1, keepdims=True, initial=0.0)).any(axis=0)
+        first = int(np.argmax(acting)) if len(acting) else 0
+        if not first:
+            return None
+        inputs: Array = np.median(self.u[:, :first], axis=1)
+        if (first < _QUIET or inputs.any()) and self._changes > _FEW_CHANGES:
+            return None
         # what follows in a long record is that of its beginning
-        y, observed = self.y[:, :LONG], self.observed[:, :LONG]
-        level = y - np.nanmedian(np.where(observed.any(axis=1, keepdims=True), y, 0.0), axis=1, keepdims=True)
-        before, after = (
-            np.sqrt(np.mean(np.where(seen, part, 0.0) ** 2, axis=1) / np.maximum(np.mean(seen, axis=1), _ACTING))
-            for part, seen in ((level[:, :first], observed[:, :first]), (level[:, first:], observed[:, first:]))
-        )
-        return bool(np.all(before <= _STILL * after))
+        y = np.where(self.observed, self.y, np.nan)[:, :LONG]
+        still = first < _QUIET or np.all(_spread(y[:, :first]) <= _STILL * _spread(y[:, first:]))
+        return inputs if still else None
+
+    @property
+    def _changes(self) -> int:
+        """In how many samples an input changes."""
+        steps = np.abs(np.diff(self.u, axis=1))
+        return int(np.count_nonzero((steps > _ACTING * steps.max(axis=1, keepdims=True)).any(axis=0)))
+
+
+def _spread(y: Array) -> Array:
+    """Root mean square of values about their median along the last axis, of those that are not NaN; 0 without any."""
+    seen = ~np.isnan(y)
+    level = np.nanmedian(np.where(seen.any(axis=-1, keepdims=True), y, 0.0), axis=-1, keepdims=True)
+    squares = np.where(seen, y - level, 0.0) ** 2
+    return np.asarray(np.sqrt(squares.sum(axis=-1) / np.maximum(seen.sum(axis=-1), 1)))
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -169,6 +198,7 @@ class AdjustedRecording(Recording):
     divisor: float
     subtracted: Array | float
     levels: Array | None = None
+    before: Array | float = 0.0
 
     @property
     def unit(self) -> float:
@@ -179,6 +209,11 @@ class AdjustedRecording(Recording):
     def hum(self) -> Array | float:
         """What was subtracted from the outputs before that, shape (p, T)."""
         return self.subtracted
+
+    @property
+    def steady(self) -> Array | float:
+        """What was subtracted from the inputs (m,): values that they are taken to have had long before."""
+        return self.before
 
     @property
     def level(self) -> Array | None:

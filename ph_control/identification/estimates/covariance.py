@@ -94,11 +94,14 @@ class FittedStructure:
             rows = fit.delays.rows(rows)  # type: ignore[type-var]
         return GivenResidues(FreeProjection(rows, fit.p, measured.fed), fit.projection.shared)
 
+    @property
+    def of_shared(self) -> Array:
+        """Covariance of the poles and of what experiments share, in the coordinates of the projection."""
+        return self.fit.covariance if len(self.fit.p) else self.measured.covariance(self.fit.variance)
+
     def own_spreads(self, experiment: int) -> list[tuple[Array, Array]]:
         """Covariance of what belongs to rows of an experiment, for each output, and with poles and shared unknowns."""
-        fit = self.fit
-        every = fit.covariance if len(fit.p) else self.measured.covariance(fit.variance)
-        return self.measured.own_covariances(experiment, every, fit.variance)
+        return self.measured.own_covariances(experiment, self.of_shared, self.fit.variance)
 
     @cached_property
     def delays(self) -> tuple[Array, Array]:

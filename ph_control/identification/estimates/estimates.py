@@ -203,9 +203,10 @@ def _of_recording(structure: FittedStructure, channel: Recording, rows: _Rows) -
         residues = projection.residues[:, which] if n else np.zeros((0, len(which), m), complex)
         if isinstance(part, FreeRecord):
             motion[:, which] = 2 * scale * part.motion_at_start(projection.p, residues, own)[structure.rank]
-            offsets[which], drifts[which] = scale * part.offset_at_start(own)
-            if part.offset:
-                errors[which] = scale * roots([spread[-1, -1] for spread, _ in structure.own_spreads(place)])
+            gains = np.zeros((len(which), m)) if part.steady is None else projection.static_gain[which]
+            offsets[which], drifts[which] = scale * part.offset_at_start(own, gains)
+            if part.offset or part.steady is not None:
+                errors[which] = scale * roots(_variances_of_constants(structure, place, part))
             values = part.placed(values)
         if len(which) == outputs:
             predicted = np.multiply(values, scale[:, None], out=values if values.flags.writeable else None)
@@ -214,8 +215,28 @@ def _of_recording(structure: FittedStructure, channel: Recording, rows: _Rows) -
         if np.any(channel.hum):
             predicted[which] += np.broadcast_to(channel.hum, predicted.shape)[which]
     return FittedChannels(
-        channel.original, motion, offsets, drifts, predicted, offset_stderr=errors, noise_scale=channel.unit
-    )
+        channel.original, motion, offsets, drifts, predicted, offset_stderr=errors, noise_scale=channel.unit,
+        resting=bool(np.any(channel.steady)),
+    )  # fmt: skip
+
+
+def _variances_of_constants(structure: FittedStructure, place: int, rows: FreeRecord) -> list[float]:
+    """Variance of the constant of each output of some rows, without what the inputs were that were subtracted."""
+    projection, covariance, spreads = structure.measured, structure.of_shared, structure.own_spreads(place)
+    if rows.steady is None:
+        return [spread[-1, -1] for spread, _ in spreads]
+    n, steady, inverse = len(projection.p), np.zeros(projection.inputs), np.zeros(len(projection.p), complex)
+    np.divide(1, projection.p, out=inverse, where=projection.p != 0)
+    steady[rows.acting] = rows.steady
+    gains = np.concatenate([-2 * inverse.real, 2 * inverse.imag, np.ones(int(projection.has_feedthrough))])
+    by_shared, variances = np.outer(steady, gains).ravel(), list[float]()
+    for output, (spread, cross) in zip(rows.outputs.tolist(), spreads, strict=True):
+        slopes = 2 * (projection.residues[:, output] @ steady) * inverse**2
+        gradient = np.concatenate([-slopes.imag, slopes.real, by_shared])
+        places = np.append(np.arange(2 * n), 2 * n + output * len(by_shared) + np.arange(len(by_shared)))
+        variance = gradient @ covariance[np.ix_(places, places)] @ gradient
+        variances.append(variance + (spread[-1, -1] - 2 * cross[-1] @ gradient if rows.offset else 0.0))
+    return variances
 
 
 def _of_response(structure: FittedStructure, channel: ResponseMatrix, rows: _Rows) -> FittedChannels:
@@ -261,7 +282,7 @@ def _squeezed(structure: FittedStructure, experiments: Sequence[FittedChannels])
         shown.append(FittedExperiment(
             record, state_of(fit.p[rank], motion, quantity, r), motion, float(data.offsets[0]), data.predicted[0],
             float(data.drifts[0]), initial_stderr=error, offset_stderr=float(data.offset_stderr[0]),
-            noise_scale=data.noise_scale,
+            noise_scale=data.noise_scale, resting=data.resting,
         ))  # fmt: skip
     return tuple(shown)
 

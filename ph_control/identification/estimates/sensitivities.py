@@ -213,9 +213,11 @@ class RecordDerivatives:
         return self.hold.step(self.result.poles).powers(np.arange(float(self.record.samples)))
 
     def forced(self, poles: ComplexArray, residues: ComplexArray, through: Array, delay: Array | None = None) -> Array:
-        """Outputs (p, T) of other modes from rest."""
+        """Outputs (p, T) of other modes from a state of zero, beside inputs that lasted before."""
         late = self.result.delay if delay is None else delay
-        return predicted_outputs(poles, residues, through, self.record.u, self.hold, late, self.result.input_delay)
+        return predicted_outputs(
+            poles, residues, through, self.record.u, self.hold, late, self.result.input_delay, lasting=True
+        )
 
     # --- with inputs -------------------------------------------------------------------------------------------------
 

@@ -15,7 +15,6 @@ from ..._types import Array, ComplexArray, Indices, Mask, RandomSource, RealOrCo
 from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
 from ..data.channels import Recording
-from ..data.experiments import as_channels
 from ..diagnosis.hum import Tones
 from ..diagnosis.noise_levels import levels_of
 from ..regression.free import FreeProjection, GivenResidues, refine_free
@@ -328,7 +327,7 @@ class _Refit:
     @classmethod
     def of(cls, result: PEMResult) -> _Refit:
         """Make it of a result."""
-        channels: Any = as_channels([experiment.record for experiment in result.experiments])
+        channels: Any = result._channels
         if isinstance(channels[0], Recording):
             scales = [experiment.noise_scale for experiment in result.experiments]
             without_tones = Tones.of(result.findings, channels).taken_from(channels)
@@ -410,7 +409,8 @@ class _Refit:
                 scale = self.layout.scales[record.outputs] * record.unit
                 motion = record.motion_at_start(projection.p, projection.residues[:, record.outputs], own)[rank]
                 motions[place][:, record.outputs] = 2 * scale * motion
-                offsets[place][record.outputs] = scale * record.offset_at_start(own)[0]
+                gains = np.zeros((len(own.T), 0)) if record.steady is None else projection.static_gain[record.outputs]
+                offsets[place][record.outputs] = scale * record.offset_at_start(own, gains)[0]
         return motions, offsets
 
 

@@ -28,6 +28,7 @@ from ..moves.free_fit import free_fit, free_refinement
 from ..parameters.fitted_parameters import FittedParameters
 from ..regression.free import FreeProjection, Lateness, refine_free
 from ..regression.time_rows import FreeRecord
+from ..regression.tuning import TUNING
 from ..search.channel_rows import is_short
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit, Orders
@@ -88,10 +89,8 @@ def _of_modes_and_inputs(
     def search_in(channels: Channels) -> Callable[..., FreeFit]:
         return partial(free_fit, channels, **assumptions)
 
-    resting = options.moving and all(isinstance(data, Recording) and data.begins_at_rest for data in channels)
-
     def searched(channels: Channels) -> Searched:
-        return Searched(channels, *_beside_motion(search_in(channels), order, start, options.moving, resting))
+        return _beside_motion(channels, order, start, options, assumptions)
 
     def refined(channels: Channels, like: Searched, p: ComplexArray) -> Searched:
         free = free_refinement(channels, like.free, p, moving=like.moving, **assumptions)
@@ -142,8 +141,8 @@ def _assumptions(request: Request, options: Options) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _in_noise_of(noise: str, structure: str, fit: FreeFit, orders: Orders) -> FreeFit:
-    """A fit in the noise that is given, or the likeliest.
+def _in_noise_of(noise: str, structure: str, fit: FreeFit, orders: Orders, like: FreeFit | None = None) -> FreeFit:
+    """A fit in the noise that is given, in that of a kind `like` another, or the likeliest.
 
     Where inputs of lags act in a part of a record, noise may rather change.  Through a plant that is given as lossless
     forces that nobody measured would make motion without end.
@@ -151,6 +150,8 @@ def _in_noise_of(noise: str, structure: str, fit: FreeFit, orders: Orders) -> Fr
     records = [rows for rows in fit.projection.experiments if isinstance(rows, FreeRecord)]
     if any(rows.level is not None for rows in records):
         return fit
+    if like is not None and like.beside is not None:
+        return beside_forces(fit, KINDS[-1:] if like.beside.is_coloured else KINDS[:1], certain=True, orders=orders)
     if noise == "auto":
         if not fit.order and any(is_short(rows) for rows in records):
             return fit
@@ -159,20 +160,54 @@ def _in_noise_of(noise: str, structure: str, fit: FreeFit, orders: Orders) -> Fr
 
 
 def _beside_motion(
-    search: Callable[..., FreeFit], order: int | str, start: ComplexArray | None, moving: bool, resting: bool
-) -> tuple[FreeFit, bool]:
+    channels: Channels, order: int | str, start: ComplexArray | None, options: Options, assumptions: dict[str, Any]
+) -> Searched:
     """The fit, and whether modes are in motion where records begin: of those at rest only where that explains more.
 
-    Before a hammer hits, few samples show the motion there was, and what is unknown of it hides the residues.
+    Before an input first changes, few samples show the motion there was, and what is unknown of it hides the residues.
     """
-    free = search(order, start=start, moving=moving and not resting)
-    if resting and free.order and not free.interrupted:
-        other = search(free.order, start=free.projection.p, moving=True)
-        if other.interrupted:
-            return replace(free, interrupted=True), False
-        if other.criteria.bic < free.criteria.bic:
-            return search(order, start=start, moving=True), True
-    return free, moving and not resting
+    resting = _at_rest(channels, options) if options.moving else None
+    if resting is None:
+        free = free_fit(channels, order, start=start, moving=options.moving, **assumptions)
+        return Searched(channels, free, options.moving)
+    still = Searched(resting, free_fit(resting, order, start=start, moving=False, **assumptions), False)
+    p, pushed = still.free.projection.p, any(np.any(data.steady) for data in resting if isinstance(data, Recording))
+    if still.free.interrupted or not (len(p) or pushed):
+        return still
+
+    def cost(free: FreeFit) -> float:
+        """BIC as of all the samples that a fit at rest has."""
+        return free.criteria.bic * still.free.projection.rows / free.projection.rows
+
+    # beside a constant what an input holds looks like a motion of the right size
+    least = still.bic - 2 * TUNING.likely * pushed
+    search = partial(free_fit, channels, order, start=start, moving=True, **assumptions)
+    if not len(p):
+        free = search()
+        return still if cost(free) >= least else Searched(channels, free, True)
+    other = free_refinement(channels, still.free, p, moving=True, **assumptions)
+    if other.interrupted:
+        return still.cut
+    if cost(other) >= least and not (pushed and p.real.max() >= 0):  # no input holds what has an integrator
+        return still
+    free = search()
+    if not free.interrupted and cost(other) < cost(free):
+        free = replace(other, order_table=free.order_table)
+    return Searched(channels, free, True)
+
+
+def _at_rest(channels: Channels, options: Options) -> Channels | None:
+    """Recordings that all begin at rest, with inputs from what these were before; None of others.
+
+    What such inputs hold outputs at is a part of the constant.
+    """
+    resting = list[Recording]()
+    for data in channels:
+        inputs = data.inputs_at_rest if isinstance(data, Recording) else None
+        if inputs is None or not isinstance(data, Recording) or (options.offset is False and inputs.any()):
+            return None
+        resting.append(data.adjusted(steady=inputs))
+    return tuple(resting)
 
 
 def _about_order(free: FreeFit, order: int | str, options: Options) -> list[Finding]:

@@ -105,7 +105,8 @@ def pem(
         first of these that leaves white residuals and a structure with classical damping, if any does, of samples that
         were not divided by that of the hold as well.
     initial_state : {'estimate', 'zero'}
-        Whether the records may start in motion.
+        Whether the records may start in motion.  Where no output moves before an input first changes they are taken to
+        be at rest, held by the inputs they have then, unless a motion explains more; 'zero' has no input before.
     offset : bool or 'auto'
         Whether a constant is added to the output of each record, and estimated; 'auto' adds one, or one that drifts,
         where that explains more than a slow mode does.

@@ -15,7 +15,7 @@ from ... import _checks
 from ..._display import counted
 from ..._frozen import ReadOnlyMapping
 from ..._options import PREDICTED_STATES, Discretisation, Interpolation, PredictedState
-from ..._types import Array, ArrayLike, ComplexArray, RandomSource, RealOrComplex, SystemNames
+from ..._types import Array, ArrayLike, ComplexArray, Indices, RandomSource, RealOrComplex, SystemNames
 from ..._units import DERIVATIVES, common_unit, hertz_size, with_unit
 from ...analysis.spectral_window import SpectralWindow
 from ...exceptions import ConditioningWarning, NoSuchQuantityError, NotPassiveError, StructureError
@@ -25,7 +25,7 @@ from ...modal.modal_form import ModalForm, from_frequencies, imaginary
 from ...reduction.nearest_passive import nearest_passive
 from ...systems.port_hamiltonian import PortHamiltonian, ph
 from ..change.monitored import Monitored
-from ..data.channels import Recording, several
+from ..data.channels import Channels, Recording, several
 from ..data.experiments import as_channels, one_recording
 from ..data.time_record import InTime
 from ..data.windowed import windowed_response
@@ -597,7 +597,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
 
     def _orders_about(self, most: int) -> Orders:
         """Poles and shapes of models of one mode more each, this result among them; of lossless modes without decay."""
-        records: Any = as_channels([experiment.record for experiment in self.experiments])
+        records: Any = self._channels
         if self.is_ambient:
             rows = [(poles, shapes[:, :, None]) for poles, shapes in orders_of(records, most)]
         else:
@@ -625,18 +625,34 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         """Time (p,) by which each output comes later than the latest of its inputs."""
         return self.delay + self.input_delay.max(initial=0.0)
 
-    def _forced(self, record: Recording) -> Array:
-        """Outputs (p, T) on a record from rest."""
+    def _forced(self, record: Recording, lasting: bool = True) -> Array:
+        """Outputs (p, T) from a state of zero, beside inputs that had their first values before a record, or were 0."""
         hold = Hold(record.dt, self.method, self.intersample)
         return predicted_outputs(
-            self.poles, self.residues, self.feedthrough, record.u, hold, self.delay, self.input_delay
+            self.poles, self.residues, self.feedthrough, record.u, hold, self.delay, self.input_delay, lasting=lasting
         )
+
+    @property
+    def _channels(self) -> Channels:
+        """Experiments as they were fitted, but for the units of their noise, and for hum."""
+        channels: Any = as_channels([experiment.record for experiment in self.experiments])
+        return tuple(
+            channel.adjusted(steady=channel.inputs_at_rest) if resting else channel
+            for channel, resting in zip(channels, self._resting, strict=True)
+        )
+
+    @property
+    def _resting(self) -> list[bool]:
+        """Whether each experiment begins at rest, held by its inputs."""
+        return [bool(getattr(experiment, "resting", False)) for experiment in self.experiments]
 
     @property
     def _moving(self) -> bool:
         """Whether records with inputs may start in motion, as others do."""
-        driven = [experiment for experiment in self.experiments if np.any(getattr(experiment.record, "u", 0.0))]
-        return any(bool(np.any(experiment.free_amplitudes)) for experiment in driven)
+        return any(
+            not resting and bool(np.any(getattr(data.record, "u", 0)) and np.any(getattr(data, "free_amplitudes", 0)))
+            for data, resting in zip(self.experiments, self._resting, strict=True)
+        )
 
     @property
     def _moves_as_state(self) -> bool:
@@ -799,7 +815,8 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         """Outputs on a record, from a motion of some name."""
         seen = bool(record.observed.any())
         if initial_state is not None and not isinstance(initial_state, str):
-            return self._outputs_from(self._motion_of(initial_state), record)
+            first = unknown_samples(self._latest, record.dt, record.u)
+            return self._outputs_from(self._motion_of(initial_state), record, first)
         alone = len(self.experiments) == 1 and not np.iscomplexobj(self.experiments[0].predicted)
         name = initial_state or ("estimate" if seen else "fitted" if alone else "zero")
         _checks.choice("initial_state", name, PREDICTED_STATES)
@@ -816,7 +833,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
                     "this fit is to a frequency response, which has no motion; use 'estimate' or 'zero'"
                 )
             return self._going_on(data, record) if name == "final" else self._beginning_as(data, record)
-        forced = self._forced(record)
+        forced = self._forced(record, name != "zero")
         if name == "zero":
             return forced
         if not seen:
@@ -841,7 +858,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         """Outputs from the motion, and with the offset and drift, of an experiment of the fit."""
         level, slope = (data.offsets, data.drifts) if isinstance(data, FittedChannels) else (data.offset, data.drift)
         background = np.reshape(level, (-1, 1)) + np.outer(slope, record.dt * np.arange(record.samples))
-        return self._outputs_from(data.free_amplitudes, record) + background
+        return self._outputs_from(data.free_amplitudes, record, _unpredicted(data)) + background
 
     def _going_on(self, data: Any, record: Recording) -> Array:
         """Outputs where a record begins at the end of an experiment of the fit; a drift stays where it was."""
@@ -851,7 +868,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
                        time=record.dt * np.arange(float(fitted.samples + record.samples)))  # fmt: skip
         level, slope = (data.offsets, data.drifts) if isinstance(data, FittedChannels) else (data.offset, data.drift)
         background = np.reshape(level, (-1, 1)) + np.reshape(slope, (-1, 1)) * record.dt * fitted.samples
-        return self._outputs_from(data.free_amplitudes, both)[:, fitted.samples :] + background
+        return self._outputs_from(data.free_amplitudes, both, _unpredicted(data))[:, fitted.samples :] + background
 
     def _motion_of(self, state: Any) -> ComplexArray:
         """Motions (n + r,) of a state."""
@@ -863,13 +880,19 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
             return np.asarray((gain * (every[:n] + 1j * every[n:])).conj())
         return np.concatenate([every[: 2 * n : 2] + 1j * every[1 : 2 * n : 2], every[2 * n :]])
 
-    def _outputs_from(self, motion: ComplexArray, record: Recording) -> Array:
-        """Outputs from free motions (n + r,) or (n + r, p)."""
+    def _outputs_from(self, motion: ComplexArray, record: Recording, first: Indices) -> Array:
+        """Outputs from free motions (n + r,) or (n + r, p), which those before a `first` sample (p,) do not tell."""
         hold, outputs = Hold(record.dt, self.method, self.intersample), len(self.output_labels)
         forced = self._forced(record)
         motion = motion.reshape(len(self.poles), -1) if motion.size else np.zeros((len(self.poles), 1), complex)
         motion = np.broadcast_to(motion, (len(self.poles), outputs))
-        return forced + moved_freely(self.poles, motion, hold, record.samples, unknown_samples(self._latest, record.dt))
+        return forced + moved_freely(self.poles, motion, hold, record.samples, first)
+
+
+def _unpredicted(data: FittedExperiment | FittedChannels) -> Indices:
+    """Number of first samples (p,) of each output that are not predicted."""
+    unknown = np.isnan(np.atleast_2d(data.predicted))
+    return np.where(unknown.all(axis=1), 0, np.argmin(unknown, axis=1))
 
 
 def _late(delay: Array, order: int) -> ct.StateSpace:

@@ -38,7 +38,7 @@ _WORDS = {
 # older files do not have them, or they are left out where there is nothing to say
 _MAY_LACK = {
     "drift", "output", "experiment", "findings", "tests", "time_unit", "title", "method", "blind",
-    "initial_stderr", "offset_stderr", "noise_scale", "delay", "delay_stderr", "input_delay", "background",
+    "initial_stderr", "offset_stderr", "noise_scale", "resting", "delay", "delay_stderr", "input_delay", "background",
     "window", "blocks", "errors", "noise", "colours", "forces", "cross", "states", "apart",
     "fitted_parameters",
 }  # fmt: skip

@@ -20,7 +20,7 @@ from ..search.path import FreePath, Reports, SearchOptions
 Anew = Callable[[Lateness, int, ComplexArray | None], FreeFit]  # search, or from poles, with delays and offsets
 
 
-def alone(fit: FreeFit, orders: Orders) -> FreeFit:
+def alone(fit: FreeFit, orders: Orders, like: FreeFit | None = None) -> FreeFit:
     """Return a fit as it is, in white noise."""
     return fit
 

@@ -122,7 +122,7 @@ def free_refinement(channels: Experiments, like: FreeFit, p: ComplexArray, **ass
         fit = search.anew(replace(like, channels=tuple(channels)))(like.lateness, like.offset, p)
     except KeyboardInterrupt:
         return replace(like, interrupted=True)
-    return fit if like.beside is None else given.beside(fit, orders=Orders())
+    return fit if like.beside is None else given.beside(fit, orders=Orders(), like=like)
 
 
 def _fitted(channels: Experiments, order: int | str, assumptions: Assumptions, start: ComplexArray | None) -> FreeFit:

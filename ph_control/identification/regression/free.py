@@ -379,6 +379,12 @@ class FreeProjection(LinearProjection):
         unknowns = self.shared.reshape(self.inputs, -1 if self.inputs else 1, self.shared.shape[1])
         return unknowns[:, -1].T if self.has_feedthrough else np.zeros((self.shared.shape[1], self.inputs))
 
+    @property
+    def static_gain(self) -> Array:
+        """Outputs (outputs, inputs) that inputs of size 1 hold, of poles other than 0."""
+        held = self.p != 0
+        return self.feedthrough - 2 * np.einsum("lqi,l->qi", self.residues[held], 1 / self.p[held]).real
+
     @cached_property
     def own(self) -> list[Array]:
         """What belongs to each experiment, shape (unknowns, its outputs)."""

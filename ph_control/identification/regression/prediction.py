@@ -24,7 +24,7 @@ from ..data.frequency_record import FrequencyRecord, InFrequency
 from ..data.time_record import Record, blocks
 from .free import FreeProjection
 from .modal_regressors import output_weight
-from .time_rows import WHOLE, FreeRecord
+from .time_rows import WHOLE, FreeRecord, change_seldom
 
 _POWERS = range(-2, 3)  # of s, in a background
 Experiment = TypeVar("Experiment")
@@ -220,6 +220,8 @@ class FittedExperiment(FittedData):
         Standard error of the offset; NaN if it was not estimated.
     noise_scale : float
         Standard deviation of its noise, beside the root of the `noise_variance` of the result.
+    resting : bool
+        Whether it begins at rest, held by inputs that are not 0: so its motion has no errors of its own.
 
     Examples
     --------
@@ -243,6 +245,7 @@ class FittedExperiment(FittedData):
     initial_stderr: Array = field(default_factory=lambda: np.zeros(0))
     offset_stderr: float = np.nan
     noise_scale: float = 1.0
+    resting: bool = False
 
     def __str__(self) -> str:
         """Say how much there is of it, and how well it is fitted."""
@@ -349,6 +352,8 @@ class FittedChannels(FittedData):
         Standard errors of the offsets; NaN where none was estimated.
     noise_scale : float
         Standard deviation of its noise, beside the root of the `noise_variance` of the result.
+    resting : bool
+        Whether it begins at rest, held by inputs that are not 0: so its motion has no errors of its own.
 
     Examples
     --------
@@ -370,6 +375,7 @@ class FittedChannels(FittedData):
     background: ResponseBackground | None = None
     offset_stderr: Array = field(default_factory=lambda: np.full(1, np.nan))
     noise_scale: float = 1.0
+    resting: bool = False
 
     def __post_init__(self) -> None:
         errors = np.broadcast_to(self.offset_stderr, np.shape(self.offsets))
@@ -403,30 +409,35 @@ def halved(p: ComplexArray, residues: ComplexArray) -> ComplexArray:
 
 def predicted_outputs(
     p: ComplexArray, residues: ComplexArray, through: Array, u: Array, hold: Hold, delay: Array | None = None,
-    input_delay: Array | None = None,
+    input_delay: Array | None = None, *, lasting: bool = False,
 ) -> Array:  # fmt: skip
-    """Outputs (q, T) from rest of modes with poles (n,), residues (n, q, m) and feedthrough (q, m); O(T n (m + q)).
+    """Outputs (q, T) of modes with poles (n,), residues (n, q, m) and feedthrough (q, m), from zero; O(T n (m + q)).
 
     Each may come later by a `delay` (q,); where it is negative the last input lasts.  Each input may act later by an
-    `input_delay` (m,): then outputs are the sums of those of inputs that act together.
+    `input_delay` (m,): then outputs are the sums of those of inputs that act together.  Before the record inputs are 0,
+    or `lasting` at their first values.
     """
     if input_delay is not None and input_delay.any() and len(u):
         q = residues.shape[1]
         own, together = np.zeros(q) if delay is None else delay, np.zeros((q, u.shape[1]))
         for late in np.unique(input_delay):
             which = input_delay == late
-            together += predicted_outputs(p, residues[:, :, which], through[:, which], u[which], hold, own + late)
+            together += predicted_outputs(
+                p, residues[:, :, which], through[:, which], u[which], hold, own + late, lasting=lasting
+            )
         return together
     if delay is not None and delay.any():
         outputs = np.empty((len(delay), u.shape[1]))
         for late in np.unique(delay):
             which = delay == late
-            outputs[which] = _late_outputs(p, residues[:, which], through[which], u, hold, float(late))
+            outputs[which] = _late_outputs(p, residues[:, which], through[which], u, hold, float(late), lasting)
         return outputs
-    return _late_outputs(p, residues, through, u, hold, 0.0)
+    return _late_outputs(p, residues, through, u, hold, 0.0, lasting)
 
 
-def _late_outputs(p: ComplexArray, residues: ComplexArray, through: Array, u: Array, hold: Hold, delay: float) -> Array:
+def _late_outputs(
+    p: ComplexArray, residues: ComplexArray, through: Array, u: Array, hold: Hold, delay: float, lasting: bool
+) -> Array:
     """Outputs that come later by the same time."""
     outputs = residues.shape[1]
     if not len(u):
@@ -434,16 +445,23 @@ def _late_outputs(p: ComplexArray, residues: ComplexArray, through: Array, u: Ar
     early = max(0, -int(np.floor(delay / hold.h + WHOLE)))
     u = np.concatenate([u, np.repeat(u[:, -1:], early, axis=1)], axis=1) if early else u
     y = np.zeros((outputs, u.shape[1]))
-    rows = FreeRecord(u, y, np.ones(u.shape[1], bool), hold, moving=False, outputs=np.arange(outputs))
+    seen, among = np.ones(u.shape[1], bool), np.arange(outputs)
+    rows = FreeRecord(u, y, seen, hold, moving=lasting, outputs=among, known_lasting=lasting)
     rows = rows.delayed(delay + early * hold.h)
     each = np.moveaxis(halved(p, residues), 2, 0)
     shared = np.concatenate([each.real, each.imag, through.T[:, None]], axis=1).reshape(-1, outputs)
-    return np.asarray(rows.evaluated(p).predict(shared, np.zeros((0, outputs)))[:, early:])
+    return np.asarray(rows.evaluated(p).predict(shared, np.zeros((rows.own_unknowns(len(p)), outputs)))[:, early:])
 
 
-def unknown_samples(delay: Array, dt: float) -> Indices:
-    """First samples of each output that depend on inputs before the record."""
-    return np.maximum(np.ceil(delay / dt - WHOLE), 0).astype(int)
+def unknown_samples(delay: Array, dt: float, u: Array | None = None) -> Indices:
+    """First samples of each output that depend on inputs before the record.
+
+    None of a record whose inputs `u` (m, T) do not change in as many samples, or change seldom: they have lasted.
+    """
+    first = np.maximum(np.ceil(delay / dt - WHOLE), 0).astype(int)
+    most = int(first.max(initial=0))
+    lasting = u is not None and bool(len(u)) and (not np.ptp(u[:, : most + 1], axis=1).any() or change_seldom(u, most))
+    return np.zeros_like(first) if lasting else first
 
 
 def moved_freely(p: ComplexArray, motion: ComplexArray, hold: Hold, samples: int, first: Indices) -> Array:
@@ -465,7 +483,7 @@ def estimated_motion(
     p: ComplexArray, record: Recording, forced: Array, hold: Hold, offset: bool, delay: Array
 ) -> Array:
     """Free motion, and constant, fitted to the outputs without their forced part, at all samples, (q, T)."""
-    nothing, first = np.zeros((1, record.samples)), unknown_samples(delay, hold.h)
+    nothing, first = np.zeros((1, record.samples)), unknown_samples(delay, hold.h, record.u)
     observed = record.observed & (np.arange(record.samples) >= first[:, None])
     residual = np.where(observed, record.y - forced, 0.0)
     rows = FreeRecord.by_observation(nothing, residual, observed, hold, offset=int(offset), driven=False)

@@ -46,7 +46,7 @@ def _shifted(signals: Array, seen: slice, samples: Indices, lasting: bool) -> Ar
     return np.concatenate([np.repeat(lasting * signals[:, :1], -first, axis=1), shifted], axis=1)
 
 
-def _change_seldom(u: Array, first: int) -> bool:
+def change_seldom(u: Array, first: int) -> bool:
     """Whether an input (m, T) has much of its changes in the first samples, as a step has."""
     lost = np.sum(np.diff(u[:, : first + 1]) ** 2, axis=1)
     # of inputs that go on changing a beginning tells
@@ -128,6 +128,7 @@ class FreeRecord:
     dead_samples: Indices | None = None  # (m,) by which each input acts later
     lasting: bool = False  # before the record, inputs are taken to have had their first values
     known_lasting: bool | None = None  # whether they are with any delay, as before a filter
+    steady: Array | None = None  # (m,) that was subtracted from inputs: what they were before the record
     filled: Mask | None = None  # samples (q, T) that were not measured, of outputs with values in their place
 
     @cached_property
@@ -244,7 +245,7 @@ class FreeRecord:
         known, dead = self.whole_record or WholeRecord(self.u, self.y, self.observed, 0, 0, self.level), self._dead
         ends = [samples, *(bound / self.hold.h for bound in (least, most) if bound is not None)]
         first = max(known.first, int(np.ceil(max(ends))) + int(dead.max())) * self.moving
-        lasting = _change_seldom(known.u, first) if self.known_lasting is None else self.known_lasting
+        lasting = change_seldom(known.u, first) if self.known_lasting is None else self.known_lasting
         lasting = lasting and self.moving and first > 0
         first = 0 if lasting else first
         last = max(known.last, -int(np.floor(min(ends))) - int(dead.min()))
@@ -296,6 +297,7 @@ class FreeRecord:
         known = self.whole_record
         return replace(
             self, u=self.u * size, y=self.y * size, ahead=None if self.ahead is None else self.ahead * size,
+            steady=None if self.steady is None else self.steady * size,
             whole_record=known and replace(known, u=known.u * size, y=known.y * size),
         )  # fmt: skip
 
@@ -318,24 +320,26 @@ class FreeRecord:
         return extended
 
     def motion_at_start(self, p: ComplexArray, residues: ComplexArray, own: Array) -> ComplexArray:
-        """Free motions (n, q) at the first sample of the whole record, if all inputs before were 0.
+        """Free motions (n, q) at the first sample of the whole record, beside inputs that lasted before.
 
-        Of `own` unknowns, which have those at the first sample that is not left out, and `residues` (n, q, m).
+        Of `own` unknowns, which have those at the first sample that is not left out, and `residues` (n, q, m).  Of a
+        record from rest they are such as inputs that were subtracted hold.
         """
-        n, known = len(p), self.whole_record
-        motion = (own[:n] + 1j * own[n : 2 * n]) if self.moving else np.zeros((n, len(self.outputs)), complex)
-        if known is None or not self.moving:
+        n, known, modes = len(p), self.whole_record, self.modes(p)
+        if not self.moving:
+            held = np.zeros((n, self.inputs), complex)
+            if self.steady is not None:  # an integrator is not held
+                ahead = 1 - modes.multiplier[:, None]
+                np.divide(np.outer(modes.b0 + modes.b1, self.steady), ahead, out=held, where=ahead != 0)
+            return np.einsum("lqi,li->lq", residues[:, :, self.acting], held)
+        motion = own[:n] + 1j * own[n : 2 * n]
+        if known is None:
             return motion
         # what inputs have done to the state that the rows do not know of
         shift = int(np.floor(self.delay)) + (self.late > 0)
-        first = max(0, shift + int(self._dead.max())) if self.lasting else known.first
-        modes = self.modes(p)
-        state = self._driven(modes, known.u, range(min(0, shift) - 1 - shift, first + 1 - shift), False)
-        if self.lasting:
-            state = state - self._driven(modes, known.u, range(-shift, first + 1 - shift), True)
+        state = self._driven(modes, known.u, range(min(1, shift) - 1 - shift, known.first + 1 - shift), shift >= 0)
         forced = np.einsum("lqi,li->lq", residues[:, :, self.acting], state)
-        start, end = (np.exp(-p * sample * self.hold.h)[:, None] for sample in (known.first, first))
-        return np.asarray(start * motion - end * forced)
+        return np.asarray(np.exp(-p * known.first * self.hold.h)[:, None] * (motion - forced))
 
     def _driven(self, modes: SampledModes, u: Array, samples: range, lasting: bool) -> ComplexArray:
         """State (n, m) at the last of some samples, from rest; before the record inputs are 0, or lasting."""
@@ -347,12 +351,18 @@ class FreeRecord:
             state = lam * state + np.outer(modes.b0, now) + np.outer(modes.b1, then)
         return state
 
-    def offset_at_start(self, own: Array) -> tuple[Array, Array]:
-        """Constant of each output at the first sample of the whole record, and its change per unit time."""
+    def offset_at_start(self, own: Array, gains: Array) -> tuple[Array, Array]:
+        """Constant of each output at the first sample of the whole record, and its change per unit time.
+
+        It has nothing of the inputs that were subtracted, by static `gains` (q, m).
+        """
         none = np.zeros(own.shape[1])
         first = 0 if self.whole_record is None else self.whole_record.first
         drift = own[-2] if self.offset > 1 else none
-        return (own[-1] - first * drift if self.offset else none), drift / self.hold.h
+        constant = own[-1] - first * drift if self.offset else none
+        return (
+            constant if self.steady is None else constant - gains[:, self.acting] @ self.steady
+        ), drift / self.hold.h
 
     def held(self, intersample: Interpolation) -> FreeRecord:
         """The record with inputs that behave otherwise between the samples."""

@@ -59,7 +59,7 @@ def records_of(channels: Sequence[Recording], form: RowOptions) -> list[FreeReco
         acting = np.flatnonzero(recording.u.any(axis=1))
         driven = len(acting) > 0
         options = {"offset": form.offset, "driven": driven, "moving": form.moving or not driven, "among": acting,
-                   "unit": recording.unit}  # fmt: skip
+                   "unit": recording.unit, "steady": _steady(recording, acting)}  # fmt: skip
         u = recording.u if driven and len(acting) == len(recording.u) else recording.u[acting]
         u = u if driven else np.broadcast_to(0.0, (1, recording.samples))
         records += FreeRecord.by_observation(
@@ -69,6 +69,12 @@ def records_of(channels: Sequence[Recording], form: RowOptions) -> list[FreeReco
         return records
     records = [rows.with_dead_times(form.late.inputs) for rows in records]
     return Delays.of_outputs(form.late.outputs).rows(records) if form.late.outputs.any() else records
+
+
+def _steady(recording: Recording, acting: Indices) -> Array | None:
+    """What was subtracted from some of the inputs of a recording; None if nothing."""
+    steady = np.broadcast_to(recording.steady, len(recording.u))[acting] / recording.unit
+    return steady if steady.any() else None
 
 
 def responses_of(
