@@ -7,7 +7,7 @@ transform.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -32,7 +32,7 @@ from ..search.free_search import Records
 from ..search.path import FreePath
 from ..search.predictor_states import likelier_apart, predicted_delays
 from ..uncertainty.residual_tests import ljung_box
-from .assumptions import Anew, Search, rows_as_in
+from .assumptions import Search, rows_as_in
 
 _MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
 _BEGINNING = 100_000  # samples of each record in which predictors show delays
@@ -41,6 +41,7 @@ _SCANS = 3  # searches with the delays that the last one says
 LONGEST_DELAY = 24  # samples, up to which each is tried
 _PER_DECADE = 24  # delays beyond, each a tenth longer than the one before
 _FEW = 2  # modes beside which lags that come late are looked for first
+_ROUNDS = 4  # of a delay and the poles beside it, each as the other shows it
 _NEAR = 3  # samples, by which a delay may be another for the poles that were found with it
 _LAGS = 6  # of different rates, with which delays are looked for
 _TOGETHER = 64  # outputs of a record, about: products of more of them with one another cost more than they spare
@@ -142,7 +143,7 @@ def of_predicted_delay(channels: Experiments, search: Search, late: Lateness, ga
     if fit.rounding or not leaves_traces(fit.projection):
         return replace(fit, delay_gain=gain) if _is_late(fit, search.path(channels)) else None
     try:  # as of a delay that is a sample too short
-        fit = on_time(fit, search.anew(fit))
+        fit = on_time(fit, search)
     except KeyboardInterrupt:
         return replace(fit, interrupted=True)
     if fit.rounding:
@@ -156,23 +157,20 @@ def of_predicted_delay(channels: Experiments, search: Search, late: Lateness, ga
     return replace(fit, delay_gain=gain)
 
 
-def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
+def on_time(fit: FreeFit, search: Search) -> FreeFit:
     """Let outputs of a fit come some samples after the inputs, or before, where a search with that is likelier."""
-    best, step = fit, fit.channels[0].dt
-    tried = {_in_samples(fit.delay, step)}
+    best, step, anew = fit, fit.channels[0].dt, search.anew(fit)
+    tried = {(_in_samples(fit.delay, step), True)}
 
     def likelier(delays: Sequence[Array], poles: ComplexArray | None = None) -> FreeFit:
         """Return the likeliest of the best fit and those with other delays, searched for or refined from poles."""
-        delays = [delay for delay in delays if _in_samples(delay, step) not in tried]
+        delays = [delay for delay in delays if (_in_samples(delay, step), poles is None) not in tried]
         if not delays:
             return best
         first, last = float(np.min(delays)), float(np.max(delays))
         likeliest, gain, before = best, 0.0, bic_within(best, first, last)
         for delay in delays:
-            samples = _in_samples(delay, step)
-            if samples in tried:
-                continue
-            tried.add(samples)
+            tried.add((_in_samples(delay, step), poles is None))
             again = anew(replace(fit.lateness, outputs=delay), fit.offset, poles)
             now = 0.5 * (before - bic_within(again, first, last))
             least = _least_gain(fit, again) if likeliest is fit and not fit.delay.any() else gain
@@ -185,9 +183,24 @@ def on_time(fit: FreeFit, anew: Anew) -> FreeFit:
                     break
         return likeliest
 
+    def of_fewer_poles(scan: _DelayScan) -> FreeFit:
+        """Return the likelier of the best fit and that with a delay in place of one of its poles."""
+        p, delay = scan.of_fewer() if search.automatic else None, np.zeros(0)
+        if p is None:
+            return best
+        for _ in range(_ROUNDS):
+            again = np.full(len(fit.scales), scan.latest(p) * step)
+            if np.array_equal(again, delay) or not again.any():
+                break
+            delay = again
+            p = anew(replace(fit.lateness, outputs=delay), fit.offset, p).projection.p
+        return likelier([delay], p) if len(delay) else best
+
     for _ in range(_SCANS):
         # poles that were found in a wrong delay, or none, say little of the right one
-        before, best = best, likelier(_scanned_delays(best) + ([] if best.delay.any() else _shown_delays(best)))
+        before, scan = best, _DelayScan.of(best)
+        best = of_fewer_poles(scan) if scan else best
+        best = likelier((scan.likely() if scan else []) + ([] if best.delay.any() else _shown_delays(best)))
         if best is before:
             break
     if best.rounding or not best.delay.any():
@@ -326,42 +339,13 @@ def _samples_late(fit: FreeFit) -> int:
     return int(np.rint(np.median(fit.delay) / fit.channels[0].dt))
 
 
-def _scanned_delays(fit: FreeFit) -> list[Array]:
-    """Return whole samples, as times, by which outputs may come late, the likeliest first.
-
-    Poles may stand for a part of a delay, or for all of it: a lag of any rate takes the place of the heavily damped
-    ones, or joins the slowest of them.  Nothing is looked for where there are none, in white noise; nor is returned
-    what is far less likely than the fit, though no pole that stays is refined.
-    """
-    channels, p = fit.channels, fit.projection.p
-    if isinstance(channels[0], ResponseMatrix) or not len(channels[0].input_labels) or fit.rounding:
-        return []
-    heavy = are_heavy(p)
-    if not (fit.noise or np.any(heavy)):
-        return []
-    some = [cut(recording, slice(0, min(recording.samples, _DELAYS_FROM))) for recording in channels]
-    shortest = min(recording.samples for recording in some)
-    records = Records(rows_as_in(fit, some, True, _undelayed(fit)))
-    rows = (records.whitened(fit.noise) if fit.noise else records).scaled(1.0 / fit.scales).data
-    lags = np.sort(p[(p.imag == 0) & (p.real < 0)])[::-1]  # the slowest first
-    fewer = len(lags) + 2 * int(np.sum(p[heavy].imag > 0)) - 1  # than there are
-    beside = [np.concatenate([p[~heavy], lags[:count]]) for count in range(max(min(len(lags), fewer), 0) + 1)]
-    beside += [] if heavy.all() else [p[:0]]
-    rates = np.array([*np.geomspace(4.0 / shortest, 0.5, _LAGS) / channels[0].dt, *-lags.real])
-    scan = _DelayScan(rows, len(fit.scales), p, beside, rates, _samples_late(fit), shortest // 10)
-    likely, far = scan.likeliest(range(min(LONGEST_DELAY, scan.most) + 1)), scan.likeliest(scan.far)
-    if max(far.values()) > max(likely.values()):
-        near = {delay for about in far for delay in range(about - about // 8, about + about // 8 + 1)}
-        likely |= scan.likeliest(sorted(near))
-    ranked = sorted(
-        (delay for delay, gain in likely.items() if gain > -TUNING.likely), key=lambda delay: -likely[delay]
-    )
-    return [np.full(len(fit.scales), delay * channels[0].dt) for delay in ranked]
-
-
 @dataclass(frozen=True)
 class _DelayScan:
-    """Delays of records, for the poles of a fit that has some delay, and for a lag of some rates beside some poles."""
+    """Delays of records, for the poles of a fit that has some delay, and for a lag of some rates beside some poles.
+
+    Poles may stand for a part of a delay, or for all of it: a lag of any rate takes the place of the heavily damped
+    ones, or joins the slowest of them.
+    """
 
     rows: Sequence[FreeRecord]
     outputs: int
@@ -370,6 +354,27 @@ class _DelayScan:
     rates: Array
     late: int
     most: int
+
+    @classmethod
+    def of(cls, fit: FreeFit) -> _DelayScan | None:
+        """Prepare it in the noise of a fit; None where nothing stands for a delay: no such poles, in white noise."""
+        channels, p = fit.channels, fit.projection.p
+        if isinstance(channels[0], ResponseMatrix) or not len(channels[0].input_labels) or fit.rounding:
+            return None
+        heavy = are_heavy(p)
+        if not (fit.noise or np.any(heavy)):
+            return None
+        some = [cut(recording, slice(0, min(recording.samples, _DELAYS_FROM))) for recording in channels]
+        shortest = min(recording.samples for recording in some)
+        moving = any(rows.moving for rows in fit.projection.experiments)
+        records = Records(rows_as_in(fit, some, moving, _undelayed(fit)))
+        rows = (records.whitened(fit.noise) if fit.noise else records).scaled(1.0 / fit.scales).data
+        lags = np.sort(p[(p.imag == 0) & (p.real < 0)])[::-1]  # the slowest first
+        fewer = len(lags) + 2 * int(np.sum(p[heavy].imag > 0)) - 1  # than there are
+        beside = [np.concatenate([p[~heavy], lags[:count]]) for count in range(max(min(len(lags), fewer), 0) + 1)]
+        beside += [] if heavy.all() else [p[:0]]
+        rates = np.array([*np.geomspace(4.0 / shortest, 0.5, _LAGS) / channels[0].dt, *-lags.real])
+        return cls(rows, len(fit.scales), p, beside, rates, _samples_late(fit), shortest // 10)
 
     @property
     def far(self) -> list[int]:
@@ -380,12 +385,7 @@ class _DelayScan:
 
     def likeliest(self, delays: Sequence[int]) -> dict[int, float]:
         """Return the best of some delays for the poles, and for the best lag, with the log-likelihood each gains."""
-        tried = sorted({self.late, *(delay for delay in delays if 0 <= delay <= self.most)})
-        delayed = _Delayed.of(self.rows, tried, self.outputs)
-
-        def scanned(p: ComplexArray) -> Array:
-            losses, unknowns = delayed.losses(p)
-            return np.asarray(0.5 * (delayed.rows * np.log(losses.sum(axis=1)) + unknowns * np.log(delayed.rows)))
+        tried, scanned = self._costs(delays)
 
         def with_lag(some: ComplexArray, log_rate: float) -> Array:
             return scanned(np.append(some, -np.exp(log_rate)))
@@ -401,6 +401,47 @@ class _DelayScan:
         )  # fmt: skip
         lag, before = with_lag(some, nearest.x if nearest.fun < lowest else about), float(poles[tried.index(self.late)])
         return {tried[int(np.argmin(scan))]: before - float(scan.min()) for scan in (poles, lag)}
+
+    def _costs(self, delays: Sequence[int]) -> tuple[list[int], Callable[[ComplexArray], Array]]:
+        """Return those of some delays that records are long enough for, and half the BIC of poles with each."""
+        tried = sorted({self.late, *(delay for delay in delays if 0 <= delay <= self.most)})
+        delayed = _Delayed.of(self.rows, tried, self.outputs)
+
+        def costs(p: ComplexArray) -> Array:
+            losses, unknowns = delayed.losses(p)
+            return np.asarray(0.5 * (delayed.rows * np.log(losses.sum(axis=1)) + unknowns * np.log(delayed.rows)))
+
+        return tried, costs
+
+    @cached_property
+    def _all(self) -> tuple[list[int], Callable[[ComplexArray], Array]]:
+        return self._costs([*range(LONGEST_DELAY + 1), *self.far])
+
+    def latest(self, p: ComplexArray) -> int:
+        """Return the likeliest delay of some poles."""
+        tried, costs = self._all
+        return tried[int(np.argmin(costs(p)))]
+
+    def of_fewer(self) -> ComplexArray | None:
+        """Return the poles without that heavily damped one for which a delay best stands; None of less than two."""
+        heavy = np.flatnonzero(are_heavy(self.p))
+        if len(self.p) < 2 or not len(heavy):
+            return None
+        return min((np.delete(self.p, k) for k in heavy), key=lambda some: float(self._all[1](some).min()))
+
+    def likely(self) -> list[Array]:
+        """Return whole samples, as times, by which outputs may come late, the likeliest first.
+
+        What is far less likely than the fit, though no pole that stays is refined, is not among them.
+        """
+        likely, far = self.likeliest(range(min(LONGEST_DELAY, self.most) + 1)), self.likeliest(self.far)
+        if max(far.values()) > max(likely.values()):
+            near = {delay for about in far for delay in range(about - about // 8, about + about // 8 + 1)}
+            likely |= self.likeliest(sorted(near))
+        ranked = sorted(
+            (delay for delay, gain in likely.items() if gain > -TUNING.likely), key=lambda delay: -likely[delay]
+        )
+        return [np.full(self.outputs, delay * self.rows[0].hold.h) for delay in ranked]
 
 
 def _undelayed(fit: FreeFit) -> Lateness:

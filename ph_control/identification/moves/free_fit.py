@@ -336,7 +336,7 @@ def _beside_drifts_and_delays(fit: FreeFit, search: Search) -> FreeFit:
     level = beside_drift(fit, anew) if drifting else fit
     late = level
     if fit.delay_open and not (dead and fit.input_delay.any()):
-        late = (with_dead_times(level, anew, search) if dead else None) or on_time(level, anew)
+        late = (with_dead_times(level, anew, search) if dead else None) or on_time(level, search)
     if not drifting:
         return late
     # poles that stand for a delay may hide a drift
