@@ -41,6 +41,7 @@ Labels = tuple[str, ...]
 _ACTING = 0.01  # of its largest value: an input that acts
 _QUIET = 3  # samples before that: fewer do not show whether outputs move
 _FEW_CHANGES = 20  # samples in which inputs that step change
+_SHORT = 30  # samples, of which few more unknowns are many
 _STILL = 1 / 3  # of the outputs that follow: what outputs are before that, of a system at rest
 
 
@@ -160,7 +161,7 @@ class Recording(InTime):
         """Inputs (m,) of a record that may begin at rest, before they first change; None of others.
 
         At rest outputs change little, beside what follows, in the few samples before.  Where inputs are not 0 then, or
-        two samples tell nothing, they change seldom: of others a motion at first hides nothing.
+        two samples tell nothing, they change seldom in a record that is not short: of others a motion hides nothing.
         """
         moves = np.abs(self.u - self.u[:, :1])
         acting = (moves > _ACTING * moves.max(axis=1, keepdims=True, initial=0.0)).any(axis=0)
@@ -168,7 +169,7 @@ class Recording(InTime):
         if not first:
             return None
         inputs: Array = np.median(self.u[:, :first], axis=1)
-        if (first < _QUIET or inputs.any()) and self._changes > _FEW_CHANGES:
+        if (first < _QUIET or inputs.any()) and (self._changes > _FEW_CHANGES or self.samples < _SHORT):
             return None
         # what follows in a long record is that of its beginning
         y = np.where(self.observed, self.y, np.nan)[:, :LONG]

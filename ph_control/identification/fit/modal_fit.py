@@ -191,7 +191,7 @@ def _beside_motion(
     if cost(other) >= least and not (pushed and p.real.max() >= 0):  # no input holds what has an integrator
         return still
     free = search()
-    if not free.interrupted and cost(other) < cost(free):
+    if not (free.interrupted or free.rounding) and cost(other) < cost(free):
         free = replace(other, order_table=free.order_table)
     return Searched(channels, free, True)
 
