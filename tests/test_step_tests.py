@@ -60,6 +60,22 @@ def test_a_step_from_an_operating_point_tells_what_one_from_zero_does(delay):
     np.testing.assert_allclose(np.ravel(result.predict((u, y)).outputs), predicted, rtol=0, atol=0.1)
 
 
+@pytest.mark.parametrize("kind", ["noise", "steps"])
+def test_fitted_motions_beside_dead_times_of_inputs_predict_what_was_fitted(kind):
+    rng, k = np.random.default_rng(0), np.arange(600)
+    steps = np.array([np.where(k < 30, 3.0, 4.0), np.where(k < 200, -2.0, -1.0)])
+    u = rng.standard_normal((2, 600)) if kind == "noise" else steps
+    late = np.array([np.r_[np.full(dead, x[0]), x[:-dead]] for x, dead in zip(u, (5, 9), strict=True)])
+    plant = ct.c2d(ct.ss(ct.tf([[[1.0], [0.5]]], [[[10, 1], [25, 1]]])), 1.0)
+    y = ct.forced_response(plant, k, late - u[:, :1]).outputs + 3 + 0.01 * rng.standard_normal(600)
+    result = phc.pem((u, y), 0, real_poles=2, dt=1.0, quantity="free", input_delay=[5.0, 9.0], delay=0)
+    predicted = np.ravel(result.experiments[0].predicted)
+    again = np.ravel(result.predict(u, initial_state="fitted").outputs)
+    known = ~np.isnan(predicted)
+    assert known.sum() >= 591
+    np.testing.assert_allclose(again[known], predicted[known], rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("first", [1, 2])
 def test_a_step_just_after_the_first_sample_shows_the_gain(first):
     k = np.arange(300)

@@ -127,7 +127,7 @@ class Recording(InTime):
         """The same with another hum subtracted from the outputs, and with inputs and outputs divided by a number.
 
         So is it with other `steady` values subtracted from the inputs; a `level` of the noise is kept beside them.
-        """  # fmt: skip
+        """
         unit, hum = self.unit if unit is None else unit, self.hum if hum is None else hum
         level, steady = self.level if level is None else level, self.steady if steady is None else steady
         if unit == 1 and not np.any(hum) and level is None and not np.any(steady):
@@ -163,24 +163,24 @@ class Recording(InTime):
         At rest outputs change little, beside what follows, in the few samples before.  Where inputs are not 0 then, or
         two samples tell nothing, they change seldom in a record that is not short: of others a motion hides nothing.
         """
-        moves = np.abs(self.u - self.u[:, :1])
-        acting = (moves > _ACTING * moves.max(axis=1, keepdims=True, initial=0.0)).any(axis=0)
-        first = int(np.argmax(acting)) if len(acting) else 0
-        if not first:
+        u = self.u[:, :LONG]  # the beginning tells of longer records
+        changing = _changing(u - u[:, :1])
+        if not len(changing):
             return None
-        inputs: Array = np.median(self.u[:, :first], axis=1)
-        if (first < _QUIET or inputs.any()) and (self._changes > _FEW_CHANGES or self.samples < _SHORT):
+        first = int(changing[0])
+        inputs: Array = np.median(u[:, :first], axis=1)
+        few = len(_changing(np.diff(u, axis=1))) <= _FEW_CHANGES and self.samples >= _SHORT
+        if (first < _QUIET or inputs.any()) and not few:
             return None
-        # what follows in a long record is that of its beginning
-        y = np.where(self.observed, self.y, np.nan)[:, :LONG]
+        y = np.where(self.observed[:, :LONG], self.y[:, :LONG], np.nan)
         still = first < _QUIET or np.all(_spread(y[:, :first]) <= _STILL * _spread(y[:, first:]))
         return inputs if still else None
 
-    @property
-    def _changes(self) -> int:
-        """In how many samples an input changes."""
-        steps = np.abs(np.diff(self.u, axis=1))
-        return int(np.count_nonzero((steps > _ACTING * steps.max(axis=1, keepdims=True)).any(axis=0)))
+
+def _changing(moves: Array) -> Indices:
+    """Samples in which any of some signals (m, T) is more than a small part of its largest value."""
+    sizes = np.abs(moves)
+    return np.flatnonzero((sizes > _ACTING * sizes.max(axis=1, keepdims=True, initial=0.0)).any(axis=0))
 
 
 def _spread(y: Array) -> Array:

@@ -337,7 +337,8 @@ class FreeRecord:
             return motion
         # what inputs have done to the state that the rows do not know of
         shift = int(np.floor(self.delay)) + (self.late > 0)
-        state = self._driven(modes, known.u, range(min(1, shift) - 1 - shift, known.first + 1 - shift), shift >= 0)
+        start = -shift if shift >= 0 else -1
+        state = self._driven(modes, known.u, range(start, known.first + 1 - shift), lasting=shift >= 0)
         forced = np.einsum("lqi,li->lq", residues[:, :, self.acting], state)
         return np.asarray(np.exp(-p * known.first * self.hold.h)[:, None] * (motion - forced))
 
@@ -360,9 +361,8 @@ class FreeRecord:
         first = 0 if self.whole_record is None else self.whole_record.first
         drift = own[-2] if self.offset > 1 else none
         constant = own[-1] - first * drift if self.offset else none
-        return (
-            constant if self.steady is None else constant - gains[:, self.acting] @ self.steady
-        ), drift / self.hold.h
+        constant = constant if self.steady is None else constant - gains[:, self.acting] @ self.steady
+        return constant, drift / self.hold.h
 
     def held(self, intersample: Interpolation) -> FreeRecord:
         """The record with inputs that behave otherwise between the samples."""
