@@ -97,6 +97,15 @@ def test_bootstrap_of_a_record_at_rest_is_of_one_at_rest(tmp_path):
     assert phc.load(tmp_path / "step.json").experiments[0].resting
 
 
+def test_a_step_from_an_operating_point_is_one_beside_hum():
+    u, y = step_test(0.0, 20, noise=0.01, samples=600)
+    result = phc.pem((u, y + 0.3 * np.sin(1.9 * np.arange(600) + 0.3)), dt=1.0, quantity="free")
+    assert {finding.cause.name for finding in result.findings} >= {"HUM", "CONSTANT"}
+    assert result.experiments[0].resting
+    np.testing.assert_allclose(result.time_constants, 12.0, rtol=0.05)
+    assert abs(result.offsets[0] - 20) < 4 * result.stderr["offset"][0]
+
+
 def test_steps_of_two_inputs_from_operating_points():
     rng = np.random.default_rng(0)
     k = np.arange(400)

@@ -204,9 +204,12 @@ def _at_rest(channels: Channels, options: Options) -> Channels | None:
     resting = list[Recording]()
     for data in channels:
         inputs = data.inputs_at_rest if isinstance(data, Recording) else None
-        if inputs is None or not isinstance(data, Recording) or (options.offset is False and inputs.any()):
+        if inputs is None or not isinstance(data, Recording):
             return None
-        resting.append(data.adjusted(steady=inputs))
+        data = data.adjusted(steady=data.steady + data.unit * inputs)
+        if options.offset is False and np.any(data.steady):
+            return None
+        resting.append(data)
     return tuple(resting)
 
 
