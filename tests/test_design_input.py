@@ -99,7 +99,7 @@ def test_the_spectrum_is_as_good_as_that_of_a_general_solver(seed, purpose):
     power[np.searchsorted(omega, designed.frequencies * (1 - 1e-9))] = designed.spectrum[0]
     reached, _ = criterion(power, D, theta, T, 0.2, first)
     assert designed.criterion == pytest.approx(reached, rel=1e-4)
-    assert reached == pytest.approx(least, rel=2e-3)
+    assert reached < least * (1 + 2e-3)  # the general solver may end above
     assert designed.criterion == pytest.approx(designed.least_criterion, rel=1e-3)
 
 
