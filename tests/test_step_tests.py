@@ -97,6 +97,22 @@ def test_bootstrap_of_a_record_at_rest_is_of_one_at_rest(tmp_path):
     assert phc.load(tmp_path / "step.json").experiments[0].resting
 
 
+@pytest.mark.parametrize("intersample", ["zoh", "foh"])
+@pytest.mark.parametrize("early", [-2.0, -1.6])
+def test_outputs_that_come_before_their_inputs_begin_where_these_held_them(early, intersample):
+    u, y = step_test(0.0, 20, noise=0.02)
+    known = {"real_poles": 1, "delay": early, "noise": "white", "intersample": intersample}
+    result, from_zero = (
+        phc.pem((inputs, y[2:]), 0, dt=1.0, quantity="free", **known) for inputs in (u[:-2], u[:-2] - u[0])
+    )
+    np.testing.assert_allclose(result.poles, from_zero.poles, rtol=1e-6)
+    predicted = result.experiments[0].predicted
+    known_samples = ~np.isnan(predicted)
+    assert known_samples.sum() > 190
+    again = np.ravel(result.predict(u[:-2], initial_state="fitted").outputs)
+    np.testing.assert_allclose(again[known_samples], predicted[known_samples], rtol=0, atol=1e-9)
+
+
 def test_a_step_from_an_operating_point_is_one_beside_hum():
     u, y = step_test(0.0, 20, noise=0.01, samples=600)
     result = phc.pem((u, y + 0.3 * np.sin(1.9 * np.arange(600) + 0.3)), dt=1.0, quantity="free")

@@ -203,8 +203,8 @@ def _of_recording(structure: FittedStructure, channel: Recording, rows: _Rows) -
         residues = projection.residues[:, which] if n else np.zeros((0, len(which), m), complex)
         if isinstance(part, FreeRecord):
             motion[:, which] = 2 * scale * part.motion_at_start(projection.p, residues, own)[structure.rank]
-            gains = np.zeros((len(which), m)) if part.steady is None else projection.static_gain[which]
-            offsets[which], drifts[which] = scale * part.offset_at_start(own, gains)
+            offsets[which], drifts[which] = scale * part.offset_at_start(own)
+            offsets[which] -= scale * projection.held_outputs(part)
             if part.offset or part.steady is not None:
                 errors[which] = scale * roots(_variances_of_constants(structure, place, part))
             values = part.placed(values)

@@ -409,8 +409,8 @@ class _Refit:
                 scale = self.layout.scales[record.outputs] * record.unit
                 motion = record.motion_at_start(projection.p, projection.residues[:, record.outputs], own)[rank]
                 motions[place][:, record.outputs] = 2 * scale * motion
-                gains = np.zeros((len(own.T), 0)) if record.steady is None else projection.static_gain[record.outputs]
-                offsets[place][record.outputs] = scale * record.offset_at_start(own, gains)[0]
+                constants = record.offset_at_start(own)[0] - projection.held_outputs(record)
+                offsets[place][record.outputs] = scale * constants
         return motions, offsets
 
 

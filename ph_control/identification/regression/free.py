@@ -379,11 +379,13 @@ class FreeProjection(LinearProjection):
         unknowns = self.shared.reshape(self.inputs, -1 if self.inputs else 1, self.shared.shape[1])
         return unknowns[:, -1].T if self.has_feedthrough else np.zeros((self.shared.shape[1], self.inputs))
 
-    @property
-    def static_gain(self) -> Array:
-        """Outputs (outputs, inputs) that inputs of size 1 hold, of poles other than 0."""
-        held = self.p != 0
-        return self.feedthrough - 2 * np.einsum("lqi,l->qi", self.residues[held], 1 / self.p[held]).real
+    def held_outputs(self, rows: FreeRecord) -> Array:
+        """Outputs (q,) of a record that the inputs hold which were subtracted from it; nothing of poles at 0."""
+        if rows.steady is None:
+            return np.zeros(len(rows.outputs))
+        stays = self.p != 0
+        gains = self.feedthrough - 2 * np.einsum("lqi,l->qi", self.residues[stays], 1 / self.p[stays]).real
+        return np.asarray(gains[np.ix_(rows.outputs, rows.acting)] @ rows.steady)
 
     @cached_property
     def own(self) -> list[Array]:

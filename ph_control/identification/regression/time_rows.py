@@ -326,43 +326,39 @@ class FreeRecord:
         record from rest they are such as inputs that were subtracted hold.
         """
         n, known, modes = len(p), self.whole_record, self.modes(p)
-        if not self.moving:
-            held = np.zeros((n, self.inputs), complex)
-            if self.steady is not None:  # an integrator is not held
-                ahead = 1 - modes.multiplier[:, None]
-                np.divide(np.outer(modes.b0 + modes.b1, self.steady), ahead, out=held, where=ahead != 0)
-            return np.einsum("lqi,li->lq", residues[:, :, self.acting], held)
-        motion = own[:n] + 1j * own[n : 2 * n]
-        if known is None:
+        held = np.zeros((n, self.inputs), complex)
+        if self.steady is not None:  # an integrator is not held
+            ahead = 1 - modes.multiplier[:, None]
+            np.divide(np.outer(modes.b0 + modes.b1, self.steady), ahead, out=held, where=ahead != 0)
+        motion = np.einsum("lqi,li->lq", residues[:, :, self.acting], held)
+        if self.moving:
+            motion += own[:n] + 1j * own[n : 2 * n]
+        if known is None or not self.moving:
             return motion
         # what inputs have done to the state that the rows do not know of
+        u = known.u if self.steady is None else known.u + self.steady[:, None]
         shift = int(np.floor(self.delay)) + (self.late > 0)
-        start = -shift if shift >= 0 else -1
-        state = self._driven(modes, known.u, range(start, known.first + 1 - shift), lasting=shift >= 0)
+        state = self._driven(modes, u, range(min(-shift, -int(self.late > 0)), known.first + 1 - shift))
         forced = np.einsum("lqi,li->lq", residues[:, :, self.acting], state)
         return np.asarray(np.exp(-p * known.first * self.hold.h)[:, None] * (motion - forced))
 
-    def _driven(self, modes: SampledModes, u: Array, samples: range, lasting: bool) -> ComplexArray:
-        """State (n, m) at the last of some samples, from rest; before the record inputs are 0, or lasting."""
-        inputs, lam = np.arange(self.inputs), modes.multiplier[:, None]
-        places = np.array(samples)[:, None] - self._dead[: self.inputs]
-        acting = np.where((places >= 0) | lasting, u[inputs, np.maximum(places, 0)], 0.0)
-        state = np.zeros((len(lam), self.inputs), complex)
-        for now, then in pairwise(acting):
+    def _driven(self, modes: SampledModes, u: Array, samples: range) -> ComplexArray:
+        """State (n, m) at the last of some samples, from rest at the first; before the record inputs have lasted."""
+        places = np.maximum(np.array(samples)[:, None] - self._dead[: self.inputs], 0)
+        state, lam = np.zeros((len(modes.multiplier), self.inputs), complex), modes.multiplier[:, None]
+        for now, then in pairwise(u[np.arange(self.inputs), places]):
             state = lam * state + np.outer(modes.b0, now) + np.outer(modes.b1, then)
         return state
 
-    def offset_at_start(self, own: Array, gains: Array) -> tuple[Array, Array]:
+    def offset_at_start(self, own: Array) -> tuple[Array, Array]:
         """Constant of each output at the first sample of the whole record, and its change per unit time.
 
-        It has nothing of the inputs that were subtracted, by static `gains` (q, m).
+        It has in it what inputs that were subtracted hold.
         """
         none = np.zeros(own.shape[1])
         first = 0 if self.whole_record is None else self.whole_record.first
         drift = own[-2] if self.offset > 1 else none
-        constant = own[-1] - first * drift if self.offset else none
-        constant = constant if self.steady is None else constant - gains[:, self.acting] @ self.steady
-        return constant, drift / self.hold.h
+        return (own[-1] - first * drift if self.offset else none), drift / self.hold.h
 
     def held(self, intersample: Interpolation) -> FreeRecord:
         """The record with inputs that behave otherwise between the samples."""
