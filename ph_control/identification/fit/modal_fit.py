@@ -151,7 +151,7 @@ def _in_noise_of(noise: str, structure: str, fit: FreeFit, orders: Orders, like:
     if any(rows.level is not None for rows in records):
         return fit
     if like is not None and like.beside is not None:
-        return beside_forces(fit, KINDS[-1:] if like.beside.is_coloured else KINDS[:1], certain=True, orders=orders)
+        return beside_forces(fit, like.beside.kinds, certain=True, orders=orders)
     if noise == "auto":
         if not fit.order and any(is_short(rows) for rows in records):
             return fit
@@ -171,7 +171,7 @@ def _beside_motion(
         free = free_fit(channels, order, start=start, moving=options.moving, **assumptions)
         return Searched(channels, free, options.moving)
     still = Searched(resting, free_fit(resting, order, start=start, moving=False, **assumptions), False)
-    p, pushed = still.free.projection.p, any(np.any(data.steady) for data in resting if isinstance(data, Recording))
+    p, pushed = still.free.projection.p, any(np.any(data.steady) for data in resting)
     if still.free.interrupted or not (len(p) or pushed):
         return still
 
@@ -196,7 +196,7 @@ def _beside_motion(
     return Searched(channels, free, True)
 
 
-def _at_rest(channels: Channels, options: Options) -> Channels | None:
+def _at_rest(channels: Channels, options: Options) -> tuple[Recording, ...] | None:
     """Recordings that all begin at rest, with inputs from what these were before; None of others.
 
     What such inputs hold outputs at is a part of the constant.

@@ -101,6 +101,11 @@ class FittedNoise:
         )
 
     @property
+    def kinds(self) -> Sequence[str]:
+        """Which of the kinds it is."""
+        return KINDS[-1:] if self.is_coloured else KINDS[:1]
+
+    @property
     def is_coloured(self) -> bool:
         """Whether it comes through the plant."""
         return bool(self.sections.K.any())
@@ -145,8 +150,8 @@ def beside_forces(
         return replace(free, interrupted=True)
     if fitted.beside is None:
         return fitted
-    kind = KINDS[-1:] if fitted.beside.is_coloured else KINDS[:1]
-    return fitted.with_rival(lambda rival: _beside_forces(rival, kind, True))
+    kinds = fitted.beside.kinds
+    return fitted.with_rival(lambda rival: _beside_forces(rival, kinds, True))
 
 
 def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: Orders = AS_FITTED) -> FreeFit:

@@ -170,7 +170,10 @@ def on_time(fit: FreeFit, search: Search) -> FreeFit:
         first, last = float(np.min(delays)), float(np.max(delays))
         likeliest, gain, before = best, 0.0, bic_within(best, first, last)
         for delay in delays:
-            tried.add((_in_samples(delay, step), poles is None))
+            trial = _in_samples(delay, step), poles is None
+            if trial in tried:
+                continue
+            tried.add(trial)
             again = anew(replace(fit.lateness, outputs=delay), fit.offset, poles)
             now = 0.5 * (before - bic_within(again, first, last))
             least = _least_gain(fit, again) if likeliest is fit and not fit.delay.any() else gain
