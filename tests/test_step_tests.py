@@ -86,9 +86,10 @@ def test_a_step_just_after_the_first_sample_shows_the_gain(first):
     np.testing.assert_allclose(np.ravel(ct.dcgain(result.system)), 2.0, rtol=0.01)
 
 
-def test_bootstrap_of_a_record_at_rest_is_of_one_at_rest(tmp_path):
-    u, y = step_test(0.0, 20, noise=0.02)
-    result = phc.pem((u, y), dt=1.0, quantity="free", noise="white")
+@pytest.mark.parametrize("hum", [0.0, 2.0])
+def test_bootstrap_of_a_record_at_rest_is_of_one_at_rest(tmp_path, hum):
+    u, y = step_test(0.0, 20, noise=0.02, samples=300)
+    result = phc.pem((u, y + hum * np.sin(1.9 * np.arange(300) + 0.3)), dt=1.0, quantity="free", noise="white")
     drawn = result.bootstrap(60, rng=0)
     stated = np.array([result.stderr["real_poles"][0], result.stderr["offset"][0]])
     spread = np.std(np.column_stack([drawn.poles.real, drawn.offset]), axis=0)

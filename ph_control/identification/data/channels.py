@@ -157,19 +157,24 @@ class Recording(InTime):
         return bool(self.u.any())
 
     @property
+    def first_inputs(self) -> tuple[Array, int]:
+        """Inputs (m,) before any of them changes, and in how many samples; none where they change at once or never."""
+        u = self.u[:, :LONG]  # the beginning tells of longer records
+        changing = _changing(u - u[:, :1])
+        first = int(changing[0]) if len(changing) else 0
+        return np.median(u[:, :first], axis=1) if first else np.zeros(len(u)), first
+
+    @property
     def inputs_at_rest(self) -> Array | None:
         """Inputs (m,) of a record that may begin at rest, before they first change; None of others.
 
         At rest outputs change little, beside what follows, in the few samples before.  Where inputs are not 0 then, or
         two samples tell nothing, they change seldom in a record that is not short: of others a motion hides nothing.
         """
-        u = self.u[:, :LONG]  # the beginning tells of longer records
-        changing = _changing(u - u[:, :1])
-        if not len(changing):
+        inputs, first = self.first_inputs
+        if not first:
             return None
-        first = int(changing[0])
-        inputs: Array = np.median(u[:, :first], axis=1)
-        few = len(_changing(np.diff(u, axis=1))) <= _FEW_CHANGES and self.samples >= _SHORT
+        few = len(_changing(np.diff(self.u[:, :LONG], axis=1))) <= _FEW_CHANGES and self.samples >= _SHORT
         if (first < _QUIET or inputs.any()) and not few:
             return None
         y = np.where(self.observed[:, :LONG], self.y[:, :LONG], np.nan)

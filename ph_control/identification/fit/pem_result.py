@@ -637,7 +637,7 @@ class PEMResult(ModalReport, Resampled, InCoordinates, Foretelling, Monitored, F
         """Experiments as they were fitted, but for the units of their noise, and for hum."""
         channels: Any = as_channels([experiment.record for experiment in self.experiments])
         return tuple(
-            channel.adjusted(steady=channel.inputs_at_rest) if resting else channel
+            channel.adjusted(steady=channel.first_inputs[0]) if resting else channel
             for channel, resting in zip(channels, self._resting, strict=True)
         )
 
