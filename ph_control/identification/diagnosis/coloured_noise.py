@@ -15,7 +15,7 @@ from ..regression.free import FreeProjection, GivenResidues, input_places, pole_
 from ..regression.modal_regressors import SampledModes
 from ..regression.prediction import FittedChannels
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
-from ..regression.time_rows import FreeRecord
+from ..regression.time_rows import FreeRecord, may_filter
 from ..regression.tuning import TUNING
 from ..search.channel_rows import is_short
 from ..search.findings import Cause, Finding
@@ -68,7 +68,7 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     if free.noise and not through and is_white(free.projection):
         return free
     free = replace(free, filters=filters)
-    if not projection.inputs:
+    if not (projection.inputs and may_filter(records, filters)):
         return free
     return _whitened(free, projection, [row for record in records for row in record.filtered(filters)])
 

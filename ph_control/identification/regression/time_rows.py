@@ -27,6 +27,7 @@ _BLOCK = 1 << 19  # numbers in a block of columns: a few megabytes, whatever the
 _MUCH = 0.2  # of the squares of its changes: an input is not left out that has these in a few samples
 _LONGER = 20  # times as many samples as may be left out tell whether inputs go on changing
 _FEWEST = 32  # groups of samples in a block
+_KEPT = 0.25  # of the measured samples, that filters need at least
 WHOLE = 1e-9  # samples: a delay so near to a whole number of samples is one
 _LONG = 1 << 14  # samples from which on inner products are cheaper without columns, whatever the number of modes
 
@@ -95,6 +96,13 @@ class WholeRecord:
     first: int
     last: int
     level: Array | None = None
+
+
+def may_filter(records: Sequence[Any], innovations: Sequence[Array]) -> bool:
+    """Whether filters leave most of what was measured of each output: a sample needs those before it."""
+    gaps = [record for record in records if isinstance(record, FreeRecord) and not record.complete]
+    rows = [(record, row) for record in gaps for row in record.filtered(innovations)]
+    return all(row.samples > _KEPT * record.samples for record, row in rows)
 
 
 @dataclass(frozen=True, eq=False)

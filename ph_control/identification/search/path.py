@@ -18,7 +18,7 @@ from ..data.channels import Recording, ResponseMatrix
 from ..regression.free import FreeProjection, Lateness, refine_free
 from ..regression.frequency_rows import FreeResponse, log_weights
 from ..regression.sections import PoleRegion, Sections
-from ..regression.time_rows import FreeRecord
+from ..regression.time_rows import FreeRecord, may_filter
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Progress
 from ..uncertainty.residual_tests import all_white
@@ -268,7 +268,9 @@ class FreePath:
             return ()
         filters = [noise.innovations(int(count), self._price)
                    for count, noise in zip(self.counts, model.noise, strict=False)]  # fmt: skip
-        return tuple(filters) if any(len(coefficients) > 1 for coefficients in filters) else ()
+        if all(len(coefficients) == 1 for coefficients in filters):
+            return ()
+        return tuple(filters) if may_filter(self.plain.data, filters) else ()
 
     def in_its_noise(self, model: FreeModel) -> FreeModel:
         """Refine a model in rows in which its own noise is white, until both agree."""
