@@ -144,10 +144,8 @@ def _outputs_of(layout: ChannelLayout) -> Indices:
 def _bounded(delays: Delays, region: PoleRegion) -> Delays:
     """Delays between bounds, for steps that hardly turn the fastest motion there may be."""
     step = np.pi / region.ceiling
-    lowest, highest = TUNING.delays[0] * step, (TUNING.delays[-1] + _MARGIN) * step
     first, last = float(delays.values.min()), float(delays.values.max())
-    least, most = max(lowest, first - _MARGIN * step), min(highest, last + _MARGIN * step)
-    return Delays(delays.groups, delays.values, step / np.pi, min(first, least), max(last, most))
+    return Delays(delays.groups, delays.values, step / np.pi, first - _MARGIN * step, last + _MARGIN * step)
 
 
 def _starts(projection: FreeProjection, layout: ChannelLayout, now: Array, ceiling: float) -> Iterator[Delays]:
