@@ -377,3 +377,32 @@ def test_phases_of_a_few_lines_are_no_delay():
     result = phc.pem((u, y + 0.03 * y.std() * rng.standard_normal(1000)), dt=1.0, quantity="free")
     assert not result.delay.any() and result.states == 3
     assert abs(result.time_constants[0] - 15) < 4 * result.stderr["time_constants"][0]
+
+
+def late_by(seed, delay, time_constant, noise, samples=1200):
+    """Steps up and down, and the output of a lag of gain 2 that is late by some samples."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([-1.0, 1.0], samples // 20 + 1), 20)[:samples]
+    a = np.exp(-1 / time_constant / FINE)
+    late = np.concatenate([np.zeros(round(delay * FINE)), np.repeat(u, FINE)])[: samples * FINE]
+    y = 2 * lfilter([0, 1 - a], [1, -a], late)[::FINE]
+    return u, y + noise * y.std() * rng.standard_normal(samples)
+
+
+@pytest.mark.parametrize(("seed", "delay"), [(0, 31.35), (1, 42.8), (2, 63.6)])
+def test_parts_of_a_sample_are_told_of_long_delays(seed, delay):
+    u, y = late_by(seed, delay, 60.0, 0.005)
+    result = phc.pem((u, y), dt=1.0)
+    assert (result.order, len(result.real_poles), result.structure) == (0, 1, "classical")
+    assert abs(result.delay[0] - delay) < 4 * result.stderr["delay"][0] < 0.2
+    assert "INPUT_NOISE" not in {finding.cause.name for finding in result.findings}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_outputs_may_be_sampled_less_often_than_inputs(seed):
+    u, y = late_by(seed, 23.85, 55.0, 0.03, 1500)
+    seen = np.where(np.arange(1500) % 10 == 0, y, np.nan)
+    result = phc.pem((u, seen), dt=1.0)
+    assert (result.order, len(result.real_poles)) == (0, 1)
+    np.testing.assert_allclose(result.time_constants, 55.0, rtol=0.06)
+    np.testing.assert_allclose(result.delay, 23.85, atol=3.0)

@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..._types import Mask
+from ..._types import Array, Mask
 from ..._units import feels_force
+from ..data.channels import Recording
+from ..data.time_record import LONG
 from ..regression.free import FreeProjection, Lateness
 from ..regression.tuning import TUNING
 from ..search.fitted_modes import FreeFit
@@ -44,7 +46,11 @@ def under_hold_and_delays(first: Choice, request: Request, with_delay: WithDelay
 
 
 def _refined_under_hold(first: Choice, request: Request, refined: Callable[[Choice], Choice]) -> Choice:
-    """The structure with refined delays under the likelier hold, or the constant one where they are nearly the same."""
+    """The structure with refined delays under the likelier hold, or the constant one where they are nearly the same.
+
+    Inputs that stay for most samples are held, unless the data are sure of something else: half a sample later, linear
+    ones say nearly the same.
+    """
     rival = first.free.rival
     if rival is None:
         return refined(first)
@@ -52,7 +58,13 @@ def _refined_under_hold(first: Choice, request: Request, refined: Callable[[Choi
     pair = [refined(choice) for choice in (first, Choice.of(rival, request))]
     held, linear = pair if first.free.intersample == "zoh" else pair[::-1]
     gain = linear.gain(held)
-    return with_finding_of_hold(linear if 2 * gain > SAME else held, gain)
+    stays = all(isinstance(data, Recording) and _mostly_stays(data.u) for data in first.free.channels)
+    return with_finding_of_hold(linear if gain > (TUNING.sure if stays else 0.5 * SAME) else held, gain)
+
+
+def _mostly_stays(u: Array) -> bool:
+    """Whether inputs (m, T) are in most samples what they were before."""
+    return bool(np.mean(np.all(np.diff(u[:, :LONG], axis=1) == 0, axis=0)) > 0.5)
 
 
 def _with_own_delays(late: Choice, request: Request, with_delay: WithDelay | None) -> Choice:
@@ -70,7 +82,7 @@ def _with_own_delays(late: Choice, request: Request, with_delay: WithDelay | Non
     fed = late.free.projection.fed
     if request.structure != "auto" or fed is None or not np.any(fed & ~_felt(late.free, request)):
         return own
-    return min((own, _refined(_freely(late, request), "free", request)), key=Choice.cost)
+    return _simpler(own, _refined(_freely(late, request), "free", request))
 
 
 def _likelier_with_delays(
@@ -144,7 +156,12 @@ def _refined_either(best: Choice, request: Request) -> Choice:
     """Free residues with their refined delays, or a classical structure with its own, whichever is likelier."""
     wider = _refined(best, "free", request) if best.fit.structure == "free" else best
     classical = _delayed(best.free, best, "classical", request, True) if request.structure == "auto" else None
-    return min((candidate for candidate in (classical, wider) if candidate is not None), key=Choice.cost)
+    return wider if classical is None else _simpler(classical, wider)
+
+
+def _simpler(choice: Choice, wider: Choice) -> Choice:
+    """A structure, or a wider one where this is likelier and not the same model, as of one lag."""
+    return wider if 2 * wider.gain(choice) > SAME else choice
 
 
 def _delayed(free: FreeFit, best: Choice, hypothesis: str, request: Request, settled: bool) -> Choice | None:
