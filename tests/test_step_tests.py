@@ -157,3 +157,40 @@ def test_what_is_not_at_rest_at_an_operating_point_may_move(kind):
         np.testing.assert_allclose(np.ravel(ct.dcgain(result.system)), 2.0, rtol=0.02)
     assert result.fit_percent > 97
     assert np.any(result.experiments[0].free_amplitudes)
+
+
+def tank(seed, inflow, balance, noise=0.02):
+    """Input that steps up and down about its first value, and an integrator that the `balance` leaves at rest."""
+    rng = np.random.default_rng(seed)
+    k = np.arange(500)
+    u = inflow + ((k >= 60) & (k < 160)) - 1.0 * ((k >= 230) & (k < 380))
+    return u, -20.0 + 0.04 * np.cumsum(np.append(0.0, u[:-1] - balance)) + noise * rng.standard_normal(500)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_integrator_may_be_in_balance_at_an_operating_point(seed):
+    u, y = tank(seed, 7.0, 7.0)
+    result = phc.pem((u, y), dt=1.0)
+    assert (result.order, len(result.real_poles)) == (0, 1) and abs(result.real_poles[0]) < 1e-3
+    assert "consistent" in str(result.verdict)
+    assert "INPUT_NOISE" not in {finding.cause.name for finding in result.findings}
+    np.testing.assert_allclose(result.residues.real.ravel(), 0.04, rtol=0.01)
+    again = np.ravel(result.predict(u, initial_state="fitted").outputs)
+    np.testing.assert_allclose(again, result.experiments[0].predicted, rtol=0, atol=1e-5)
+
+
+def test_an_integrator_without_losses_is_drawn_and_predicted_in_balance():
+    u, y = tank(4, 7.0, 7.0)
+    result = phc.pem((u, y), dt=1.0, structure="lossless")
+    assert result.real_poles[0] == 0
+    again = np.ravel(result.predict(u, initial_state="fitted").outputs)
+    np.testing.assert_allclose(again, result.experiments[0].predicted, rtol=0, atol=1e-9)
+    drawn = result.bootstrap(40, rng=0)
+    np.testing.assert_allclose(np.std(drawn.offset), np.ravel(result.stderr["offset"])[0], rtol=0.5)
+
+
+def test_an_integrator_that_runs_from_the_beginning_is_not_in_balance():
+    u, y = tank(0, 2.0, 0.0)
+    result = phc.pem((u, y), dt=1.0)
+    assert np.abs(result.real_poles).min() < 1e-3 and not result.experiments[0].resting
+    np.testing.assert_allclose(result.residues.real.ravel()[0], 0.04, rtol=0.03)

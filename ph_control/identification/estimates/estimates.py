@@ -205,6 +205,7 @@ def _of_recording(structure: FittedStructure, channel: Recording, rows: _Rows) -
             motion[:, which] = 2 * scale * part.motion_at_start(projection.p, residues, own)[structure.rank]
             offsets[which], drifts[which] = scale * part.offset_at_start(own)
             offsets[which] -= scale * projection.held_outputs(part)
+            drifts[which] -= scale * projection.integrated_outputs(part)
             if part.offset or part.steady is not None:
                 errors[which] = scale * roots(_variances_of_constants(structure, place, part))
             values = part.placed(values)

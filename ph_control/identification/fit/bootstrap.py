@@ -338,6 +338,7 @@ class _Refit:
         terms += any(
             np.any(getattr(experiment, "drifts", getattr(experiment, "drift", 0.0)))
             for experiment in result.experiments
+            if not (experiment.resting and np.any(result.poles == 0))  # that of inputs before the record
         )
         options = RowOptions(
             result.quantities, result.intersample, terms, result._moving, result.method, result._lateness

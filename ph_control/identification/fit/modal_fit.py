@@ -188,7 +188,7 @@ def _beside_motion(
     other = free_refinement(channels, still.free, p, moving=True, **assumptions)
     if other.interrupted:
         return still.cut
-    if cost(other) >= least and not (pushed and p.real.max() >= 0):  # no input holds what has an integrator
+    if cost(other) >= least:
         return still
     free = search()
     if not (free.interrupted or free.rounding) and cost(other) < cost(free):

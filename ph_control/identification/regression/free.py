@@ -387,6 +387,13 @@ class FreeProjection(LinearProjection):
         gains = self.feedthrough - 2 * np.einsum("lqi,l->qi", self.residues[stays], 1 / self.p[stays]).real
         return np.asarray(gains[np.ix_(rows.outputs, rows.acting)] @ rows.steady)
 
+    def integrated_outputs(self, rows: FreeRecord) -> Array:
+        """Change per unit time of outputs (q,) by inputs that were subtracted from a record, through poles at 0."""
+        if rows.steady is None:
+            return np.zeros(len(rows.outputs))
+        rates = 2 * self.residues[self.p == 0].real.sum(axis=0)
+        return np.asarray(rates[np.ix_(rows.outputs, rows.acting)] @ rows.steady)
+
     @cached_property
     def own(self) -> list[Array]:
         """What belongs to each experiment, shape (unknowns, its outputs)."""
