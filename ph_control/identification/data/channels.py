@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal, overload
 
@@ -19,6 +20,7 @@ from ..._units import checked_unit
 from ...analysis.spectral_window import SpectralWindow, window_of
 from ...exceptions import IdentificationError, StructureError
 from .frequency_record import FrequencyRecord, InFrequency, LineErrors, checked_points, checked_weights, title_of
+from .rounding import before_rounding, noise_before, rounding_step
 from .time_record import (
     LONG,
     CheckedData,
@@ -41,6 +43,7 @@ Labels = tuple[str, ...]
 _ACTING = 0.01  # of its largest value: an input that acts
 _QUIET = 3  # samples before that: fewer do not show whether outputs move
 _FEW_CHANGES = 20  # samples in which inputs that step change
+_LOOKED_AT = 5000  # samples that show to which steps an output was rounded
 _SHORT = 30  # samples, of which few more unknowns are many
 _STILL = 1 / 3  # of the outputs that follow: what outputs are before that, of a system at rest
 
@@ -123,20 +126,48 @@ class Recording(InTime):
         hum: Array | float | None = None,
         level: Array | None = None,
         steady: Array | float | None = None,
+        rounding: Array | float | None = None,
     ) -> Recording:
         """The same with another hum subtracted from the outputs, and with inputs and outputs divided by a number.
 
-        So is it with other `steady` values subtracted from the inputs; a `level` of the noise is kept beside them.
+        So is it with other `steady` values subtracted from the inputs, and another `rounding` from the outputs; a
+        `level` of the noise is kept beside them.
         """
         unit, hum = self.unit if unit is None else unit, self.hum if hum is None else hum
         level, steady = self.level if level is None else level, self.steady if steady is None else steady
-        if unit == 1 and not np.any(hum) and level is None and not np.any(steady):
+        rounding = self.rounding if rounding is None else rounding
+        if unit == 1 and level is None and not (np.any(hum) or np.any(steady) or np.any(rounding)):
             return self.original
         given = {part.name: getattr(self.original, part.name) for part in fields(Recording)}
-        given |= {"u": (given["u"].T - steady).T / unit, "y": (given["y"] - hum) / unit}
+        given |= {"u": (given["u"].T - steady).T / unit, "y": (given["y"] - hum - rounding) / unit}
         return AdjustedRecording(
-            **given, whole=self.original, divisor=unit, subtracted=hum, levels=level, before=steady
+            **given, whole=self.original, divisor=unit, subtracted=hum, levels=level, before=steady, rounded=rounding
         )
+
+    @cached_property
+    def steps(self) -> Array:
+        """Steps (p,) that outputs were rounded to, in the present unit, as their beginning shows; 0 of others."""
+        every = max(1, min(self.samples, LONG) // _LOOKED_AT)
+        return _checks.readonly(np.array([rounding_step(row[:LONG:every]) for row in self.y]))
+
+    @property
+    def rounding(self) -> Array | float:
+        """What rounding is taken to have added to the outputs, shape (p, T)."""
+        return 0.0
+
+    def before_rounding(self, predicted: Array, rounded: Mask) -> Recording:
+        """The same with outputs that are `rounded` (p,) as they tell of others near to those `predicted` (p, T).
+
+        Levels are those of noise of the deviation of rounding, `step / sqrt(12)`.
+        """
+        y, level = self.original.y, np.ones(self.y.shape)
+        rounding = np.zeros(y.shape)
+        for k in np.flatnonzero(rounded & (self.steps > 0)).tolist():
+            step, seen = self.steps[k] * self.unit, ~np.isnan(y[k] + predicted[k])
+            noise = noise_before(y[k, seen], step, predicted[k, seen])
+            values, deviations = before_rounding(y[k, seen], step, predicted[k, seen], noise)
+            rounding[k, seen], level[k, seen] = y[k, seen] - values, np.sqrt(12) / step * deviations
+        return self.adjusted(level=level, rounding=rounding)
 
     @property
     def changes(self) -> Indices:
@@ -205,6 +236,7 @@ class AdjustedRecording(Recording):
     subtracted: Array | float
     levels: Array | None = None
     before: Array | float = 0.0
+    rounded: Array | float = 0.0
 
     @property
     def unit(self) -> float:
@@ -220,6 +252,16 @@ class AdjustedRecording(Recording):
     def steady(self) -> Array | float:
         """What was subtracted from the inputs (m,): values that they are taken to have had long before."""
         return self.before
+
+    @cached_property
+    def steps(self) -> Array:
+        """Steps (p,) that outputs were rounded to, in the present unit; 0 of others."""
+        return _checks.readonly(self.whole.steps / self.divisor)
+
+    @property
+    def rounding(self) -> Array | float:
+        """What rounding is taken to have added to the outputs, shape (p, T)."""
+        return self.rounded
 
     @property
     def level(self) -> Array | None:

@@ -9,12 +9,17 @@ import numpy as np
 
 from ..._types import Array, ComplexArray
 from ..data.channels import Channels, Recording
+from ..data.time_record import is_long
+from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
+from ..search.channel_rows import experiments_of
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from .hum import Tones, lines_in, tones_in, undriven
 from .noise_levels import changing_levels, findings_of, in_equal_noise, level_of
 
+_REWEIGHTINGS = 16  # of rounded outputs by what is predicted of them
+_UNMOVED = 3e-3  # steps of rounding: what a reweighting may move predictions by at the end
 _ROUNDS = 3  # of fits and of the noise of experiments in turn
 _MOST_TONES = 20  # times that more tones are looked for
 _MUCH = 0.2  # of the power that is left: a line where modes may be missing
@@ -78,6 +83,60 @@ def beside_disturbances(
         return _beside_changing_noise(latest, search, refine)
     except KeyboardInterrupt:
         return latest.cut
+
+
+def within_rounding(latest: Searched, refine: Refine) -> Searched:
+    """The fit by the likelihood of outputs that were rounded to steps larger than their noise.
+
+    That of half a step is the same error in many successive samples, and not another in each.
+    """
+    free, rounded = latest.free, latest.free.projection.within_rounding
+    other = free.exact or free.noise or free.beside is not None or free.interrupted
+    if other or not rounded.any() or is_long(latest.channels):
+        return latest
+    again, predicted = latest, _predicted(latest)
+    for _ in range(_REWEIGHTINGS):
+        again = refine(tuple(data.before_rounding(outputs, rounded) for data, outputs in predicted), latest,
+                       again.free.projection.p)  # fmt: skip
+        if again.free.interrupted:
+            return latest.cut
+        before, predicted = predicted, _predicted(again)
+        if all(_agree(data, now, then) for (data, now), (_, then) in zip(predicted, before, strict=True)):
+            break
+    named = [
+        Finding(Cause.ROUNDED, (float(data.steps[k] * data.unit), float(_values(data.original.y[k]))), 0.0, name, e)
+        for e, (data, _) in enumerate(predicted) for k, name in enumerate(data.output_labels)
+        if rounded[k] and data.steps[k]
+    ]  # fmt: skip
+    free = replace(again.free, rounding=True, order_table=free.order_table)
+    return replace(again, free=free, findings=(*latest.findings, *named))
+
+
+def _agree(data: Recording, now: Array, then: Array) -> bool:
+    """Whether two predictions of the outputs of a recording differ by a small part of the steps that these have."""
+    known = data.steps > 0
+    moved = np.abs(now - then)[known] / (data.unit * data.steps[known])[:, None]
+    return bool(np.nanmax(moved, initial=0.0) < _UNMOVED)
+
+
+def _values(y: Array) -> int:
+    """Number of different values of an output."""
+    return len(np.unique(y[np.isfinite(y)]))
+
+
+def _predicted(latest: Searched) -> list[tuple[Recording, Array]]:
+    """Recordings with the outputs (p, T) that a fit predicts in their units, NaN where it predicts none."""
+    free = latest.free
+    recordings = [channel for channel in latest.channels if isinstance(channel, Recording)]
+    predicted = [np.full(data.y.shape, np.nan) for data in recordings]
+    records = free.projection.experiments
+    places = experiments_of(records, latest.channels).tolist()
+    for record, outputs, place in zip(records, free.projection.predictions(), places, strict=True):
+        assert isinstance(record, FreeRecord)
+        first = predicted[place].shape[1] - record.length if record.whole_record is None else record.whole_record.first
+        sizes = free.scales[record.outputs, None] * record.unit
+        predicted[place][record.outputs, first : first + record.length] = outputs * sizes
+    return list(zip(recordings, predicted, strict=True))
 
 
 def _settled(

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm, t
 
-from ..._types import Array, Indices, RealOrComplex
+from ..._types import Array, Indices, Mask, RealOrComplex
 from ..data.channels import Recording, ResponseMatrix
 from ..data.time_record import LONG, Signal, blocks, is_long
 from ..regression.time_rows import FreeRecord
@@ -277,6 +277,12 @@ def levels_of(findings: Sequence[Finding], channels: Sequence[Any]) -> list[Arra
             level[which] = each
         levels.append(level if changes else None)
     return levels
+
+
+def rounded_outputs(findings: Sequence[Finding], channels: Sequence[Recording]) -> list[Mask]:
+    """Which outputs of each recording were rounded to steps larger than their noise, as findings tell."""
+    rounded = {(finding.experiment, finding.output) for finding in findings if finding.cause is Cause.ROUNDED}
+    return [np.array([(e, name) in rounded for name in data.output_labels]) for e, data in enumerate(channels)]
 
 
 def level_of(channel: Recording | ResponseMatrix) -> Array | None:

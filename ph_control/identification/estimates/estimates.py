@@ -147,23 +147,31 @@ def _unknowns(structure: FittedStructure) -> int:
 
 
 def _variances(experiments: Sequence[FittedChannels], free: FreeFit) -> tuple[Array, Array]:
-    """Number of real residuals of each output or entry, and the mean square of these, in the same noise."""
+    """Number of real residuals of each output or entry, and the mean square of these, in the same noise.
+
+    That is no smaller than what rounding leaves of outputs.
+    """
     counts: Any = 0
     losses: Any = 0.0
+    rounded: Any = 0.0
     for data, channel in zip(experiments, free.channels, strict=True):
         known = data.record.observed & ~np.isnan(data.predicted)
         counts = counts + known.sum(axis=-1) * (1 + free.per_entry)
         if isinstance(data.record, ResponseMatrix) and data.record.errors is not None:
             losses = losses + np.nansum(np.abs(data.record.in_noise(data.residuals)) ** 2, axis=-1)
             continue
+        if isinstance(channel, Recording):
+            rounded = rounded + known.sum(axis=-1) / 12 * (channel.steps * channel.unit / data.noise_scale) ** 2
         if (level := level_of(channel)) is not None:
-            residuals = np.where(known, data.residuals / level, 0.0)
+            rounding = np.broadcast_to(getattr(channel, "rounding", 0.0), level.shape)
+            residuals = np.where(known, (data.residuals - rounding) / level, 0.0)
             losses = losses + np.sum(residuals**2, axis=-1) / data.noise_scale**2
             continue
         for weights, _, residuals in pieces([(data.record, data.predicted)]):
             losses = losses + np.sum(weights * np.abs(residuals) ** 2, axis=-1) / data.noise_scale**2
     divisor = np.maximum(np.ravel(counts), 1)
-    return np.ravel(counts), np.maximum(np.ravel(losses), np.finfo(float).tiny * divisor) / divisor
+    losses = np.maximum(np.ravel(losses), np.ravel(rounded))
+    return np.ravel(counts), np.maximum(losses, np.finfo(float).tiny * divisor) / divisor
 
 
 def _log_density(data: FittedChannels) -> float:

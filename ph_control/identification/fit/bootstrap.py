@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._threads import on_one_thread
@@ -16,7 +17,7 @@ from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
 from ..data.channels import Recording
 from ..diagnosis.hum import Tones
-from ..diagnosis.noise_levels import levels_of
+from ..diagnosis.noise_levels import levels_of, rounded_outputs
 from ..regression.free import FreeProjection, GivenResidues, refine_free
 from ..regression.frequency_rows import FreeResponse, terms_in
 from ..regression.prediction import FittedChannels, ResponseBackground, halved, state_of
@@ -328,12 +329,18 @@ class _Refit:
     def of(cls, result: PEMResult) -> _Refit:
         """Make it of a result."""
         channels: Any = result._channels
+        rounded = list[Mask]()
         if isinstance(channels[0], Recording):
             scales = [experiment.noise_scale for experiment in result.experiments]
             without_tones = Tones.of(result.findings, channels).taken_from(channels)
             levels = levels_of(result.findings, channels)
             adjustments = zip(without_tones, scales, levels, strict=True)
             channels = [channel.adjusted(scale, level=level) for channel, scale, level in adjustments]
+            rounded = rounded_outputs(result.findings, channels)
+            channels = [
+                channel.before_rounding(np.atleast_2d(experiment.predicted), outputs) if outputs.any() else channel
+                for channel, experiment, outputs in zip(channels, result.experiments, rounded, strict=True)
+            ]
         terms = int(np.isfinite(result.stderr["offset"]).any())
         terms += any(
             np.any(getattr(experiment, "drifts", getattr(experiment, "drift", 0.0)))
@@ -360,11 +367,13 @@ class _Refit:
         # residuals are smaller than the noise by the parameters that were fitted to it
         variance = np.exp(np.mean(np.log(np.maximum(result.noise_variance, np.finfo(float).tiny))))
         factor = np.sqrt(variance / max(result.loss, np.finfo(float).tiny))
-        predictions, noise = fixed.predictions(), []
-        for record, predicted in zip(rows, predictions, strict=True):
+        predictions, noise, places = fixed.predictions(), [], experiments_of(rows, channels).tolist()
+        for record, predicted, place in zip(rows, predictions, places, strict=True):
             residuals = _scaled_residuals(record, (_measured_outputs(record) - predicted)[:, record.observed])
             noise.append(factor * (residuals - residuals.mean(axis=1, keepdims=True)))
-        places = experiments_of(rows, channels).tolist()
+            if rounded:  # what is left of these says nothing of their noise
+                steps = rounded[place][record.outputs]
+                noise[-1][steps] = ndtri((np.arange(residuals.shape[1]) + 0.5) / residuals.shape[1])
         return cls(
             rows, result.poles, fed, layout, path.search.region, result.structure, predictions, noise, places,
             len(channels),

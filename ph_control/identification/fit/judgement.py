@@ -86,7 +86,8 @@ class Evidence:
         free, whiteness = estimates.free, _whiteness_of(estimates)
         findings = [
             *(_in_model(finding, estimates.experiments) for finding in findings), *_lateness(estimates),
-            *rejections(estimates.tests), *_reversed(estimates), *saturated(estimates.experiments), *not_linear(free),
+            *rejections(estimates.tests), *_reversed(estimates), *saturated(estimates.experiments, free.findings),
+            *not_linear(free),
         ]  # fmt: skip
         findings += _same_columns(free.channels)
         if estimates.fit_percent < GOOD_FIT:
@@ -370,8 +371,9 @@ def _in_rows(record: Any, channel: Recording | ResponseMatrix, values: NDArray[A
     return [scaled.real, scaled.imag]
 
 
-def saturated(experiments: Sequence[FittedChannels]) -> list[Finding]:
-    """Outputs of recordings that stay at an end of their range."""
+def saturated(experiments: Sequence[FittedChannels], known: Sequence[Finding] = ()) -> list[Finding]:
+    """Outputs of recordings that stay at an end of their range, but for those that are known to be rounded."""
+    rounded = {(finding.experiment, finding.output) for finding in known if finding.cause is Cause.ROUNDED}
     every = [
         (k, experiment.record) for k, experiment in enumerate(experiments) if isinstance(experiment.record, Recording)
     ]
@@ -380,7 +382,8 @@ def saturated(experiments: Sequence[FittedChannels]) -> list[Finding]:
         for k, record in every
         for name, row in zip(record.output_labels, record.y, strict=True)
     ]
-    return [Finding(Cause.SATURATION, (float(count), *of), 0.0, name, k) for k, name, (count, of) in ends if count]
+    return [Finding(Cause.SATURATION, (float(count), *of), 0.0, name, k) for k, name, (count, of) in ends
+            if count and (k, name) not in rounded]  # fmt: skip
 
 
 def at_rest(experiments: Sequence[FittedChannels]) -> list[Finding]:

@@ -18,7 +18,7 @@ from ..._types import ComplexArray
 from ...exceptions import StructureError
 from ...modal.modal_form import imaginary
 from ..data.channels import Channels, Recording
-from ..diagnosis.alternatives import Searched, beside_disturbances
+from ..diagnosis.alternatives import Searched, beside_disturbances, within_rounding
 from ..diagnosis.coloured_noise import beside_coloured_noise, fitted_noise
 from ..diagnosis.verdict import WHITE
 from ..estimates.estimates import Estimates
@@ -99,6 +99,7 @@ def _of_modes_and_inputs(
     automatic, certain = isinstance(order, str), options.noise in KINDS
     latest = searched(channels)
     if not options.is_plain:
+        latest = within_rounding(latest, refined)
         latest = beside_disturbances(latest, searched, refined, automatic, certain)
     search, moving = search_in(latest.channels), latest.moving
 

@@ -100,8 +100,9 @@ def finished(
     while automatic and (weakest := needless_mode(path, projection)) is not None:
         projection, losses = settled(path, np.delete(projection.p, weakest), None, near)
     near = float(_DECIDED / path.counts.sum()) if refined else None
-    # noise of slow colour hides a constant that is still the level of the output
-    constant_open = path.options.constant_open and not (interrupted or model.innovations)
+    # noise of slow colour hides a constant that is still the level of the output, and so do steps of rounding
+    hidden = model.innovations or np.any(projection.within_rounding)
+    constant_open = path.options.constant_open and not (interrupted or hidden)
     projection, losses, fed = _without_what_is_needless(path, projection, losses, constant_open, near)
     projection, losses = on_simplest_background(path, projection, losses, fed, near)
     if refined:

@@ -49,7 +49,7 @@ def _coloured(path: FreePath, model: FreeModel) -> bool:
     driven = isinstance(path.plain, Records) and any(
         record.inputs and not is_short(record) for record in path.plain.data
     )
-    return driven and bool(path.noise_filters(model)) and not np.any(model.losses <= path.floors)
+    return driven and bool(path.noise_filters(model)) and not np.any(model.losses <= path.floors_in(model.innovations))
 
 
 def _joint(path: FreePath, start: ComplexArray, most: int, automatic: bool) -> FreeModel:

@@ -517,7 +517,11 @@ def _together(parts: Sequence[FreeRecord]) -> Sequence[FreeRecord]:
     y, outputs = np.concatenate([part.measured for part in parts]), np.concatenate([part.outputs for part in parts])
     missing = np.concatenate([part.filled for part in parts if part.filled is not None])
     order = np.argsort(outputs)
-    return [replace(first, y=y[order], outputs=outputs[order], filled=missing[order], scale=None, whole_record=None)]
+    return [
+        replace(
+            first, y=y[order], outputs=outputs[order], filled=missing[order], scale=None, steps=None, whole_record=None
+        )
+    ]
 
 
 def _with_likeliest_samples(best: Minimum) -> Minimum:

@@ -22,7 +22,7 @@ from ..._types import Array, ComplexArray, Indices, Mask
 from ..data.channels import Recording, ResponseMatrix
 from ..data.time_record import cut
 from ..regression.elimination import orthogonal, without
-from ..regression.free import FreeProjection, Lateness
+from ..regression.free import ROUNDED, FreeProjection, Lateness
 from ..regression.modal_regressors import SampledModes
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
@@ -85,7 +85,7 @@ def of_late_lag(channels: Experiments, search: Search) -> FreeFit | None:
 def _is_late(fit: FreeFit, path: FreePath) -> bool:
     """Whether the poles of a fit explain less without its delay: of an input of few lines phases may be the same."""
     on_time = path.model(fit.projection.p)
-    if fit.rounding:
+    if fit.exact:
         return not path.is_exact(on_time)
     latest = float(fit.delay.max())  # as many samples are left out on either side: they may be those that tell
     rows = [record.delayed(0.0, 0.0, latest) for record in path.plain.data if isinstance(record, FreeRecord)]
@@ -146,7 +146,7 @@ def of_predicted_delay(channels: Experiments, search: Search, late: Lateness, ga
         fit = on_time(fit, search)
     except KeyboardInterrupt:
         return replace(fit, interrupted=True)
-    if fit.rounding:
+    if fit.exact:
         return None
     if leaves_traces(fit.projection):
         without, latest = search.along(search.path(channels), channels), float(fit.delay.max())
@@ -178,7 +178,7 @@ def on_time(fit: FreeFit, search: Search) -> FreeFit:
             now = 0.5 * (before - bic_within(again, first, last))
             least = _least_gain(fit, again) if likeliest is fit and not fit.delay.any() else gain
             better = now > least
-            if likeliest.rounding and again.rounding:  # all of exact data, as other delays do: the least of them
+            if likeliest.exact and again.exact:  # all of exact data, as other delays do: the least of them
                 better = bool(np.sum(np.abs(delay)) < np.sum(np.abs(likeliest.delay)))
             if better and _responds(again):
                 likeliest, gain = replace(again, findings=fit.findings, delay_gain=best.delay_gain + now), now
@@ -206,7 +206,7 @@ def on_time(fit: FreeFit, search: Search) -> FreeFit:
         best = likelier((scan.likely() if scan else []) + ([] if best.delay.any() else _shown_delays(best)))
         if best is before:
             break
-    if best.rounding or not best.delay.any():
+    if best.exact or not best.delay.any():
         return best
     near = sorted({*range(-_NEAR, _NEAR + 1)} - {0}, key=abs)
     return likelier([best.delay + step * samples for samples in near], best.projection.p)
@@ -241,7 +241,7 @@ def bic_within(fit: FreeFit, least: float, most: float, more: int = 0) -> float:
 
 def _bic_of(rows: Sequence[FreeRecord], projection: FreeProjection, unknowns: int) -> float:
     """Return the BIC of poles in some rows, with so many parameters."""
-    losses = np.maximum(projection.losses, np.finfo(float).tiny)
+    losses = np.maximum(projection.losses, np.maximum(ROUNDED * projection.rounded, np.finfo(float).tiny))
     counts = np.zeros(len(losses))
     for record in rows:
         counts[record.outputs] += record.samples
@@ -334,7 +334,7 @@ def _seen_with(record: FreeRecord, delays: Sequence[int], ends: tuple[int, int],
         return shifted
     y, numbers = (np.concatenate([getattr(rows, name) for rows in shifted]) for name in ("y", "outputs"))
     scale = None if record.scale is None else np.tile(record.scale, len(shifted))
-    return [replace(shifted[0], y=y, outputs=numbers, scale=scale)]
+    return [replace(shifted[0], y=y, outputs=numbers, scale=scale, steps=None)]
 
 
 def _samples_late(fit: FreeFit) -> int:
@@ -362,7 +362,7 @@ class _DelayScan:
     def of(cls, fit: FreeFit) -> _DelayScan | None:
         """Prepare it in the noise of a fit; None where nothing stands for a delay: no such poles, in white noise."""
         channels, p = fit.channels, fit.projection.p
-        if isinstance(channels[0], ResponseMatrix) or not len(channels[0].input_labels) or fit.rounding:
+        if isinstance(channels[0], ResponseMatrix) or not len(channels[0].input_labels) or fit.exact:
             return None
         heavy = are_heavy(p)
         if not (fit.noise or np.any(heavy)):
@@ -454,6 +454,8 @@ def _undelayed(fit: FreeFit) -> Lateness:
 
 def leaves_traces(projection: FreeProjection) -> bool:
     """Whether what is left of outputs is no white noise, or goes with an input some samples before or after."""
+    if np.all(projection.losses <= ROUNDED * projection.rounded):
+        return False
     pairs = zip(projection.experiments, projection.predictions(), strict=True)
     return _are_traces([
         (rows.u[: rows.inputs], np.where(rows.observed, rows.measured - predicted, np.nan))

@@ -316,7 +316,7 @@ def _noise_beside(fit: FreeFit, path: FreePath, search: Search, start: ComplexAr
 def _beside_all_else(fit: FreeFit, search: Search) -> FreeFit:
     """Return the fit with what its data show beside modes: noise of responses that varies, or drifts and delays."""
     weighted = search.assumptions.weighted
-    if fit.interrupted or fit.rounding or (fit.per_entry and weighted):
+    if fit.interrupted or fit.exact or (fit.per_entry and weighted):
         return fit
     try:
         if fit.windowed:

@@ -43,6 +43,9 @@ Rows = TypeVar("Rows", FreeRecord, FreeResponse)  # what may have a delay
 # outputs, residual, Jacobians by poles and by the shared unknowns of these outputs
 Sensitivity = tuple[list[int], Array, Array, Array]
 
+ROUNDED = 1.5  # times what rounding leaves: less of an output is no evidence of anything
+_SHOWN = 3.0  # times that: with as much noise before it, errors of samples are not the same
+
 # --- delays -----------------------------------------------------------------------------------------------------------
 
 
@@ -227,6 +230,24 @@ class FreeProjection(LinearProjection):
     def rounding(self) -> Array:
         """Losses of outputs below which residuals are rounding: of recursions in doubles it grows with the samples."""
         return np.asarray((EPS * self.rows) ** 2 * GivenResidues(self, np.zeros_like(self.shared)).losses)
+
+    def variance_of(self, loss: float) -> float:
+        """Return the variance of the rows where a model leaves a loss, no smaller than that of rounded outputs."""
+        return max(loss, float(self.rounded.sum())) / max(1, self.rows - self.unknowns)
+
+    @property
+    def within_rounding(self) -> Mask:
+        """Which outputs were rounded, and leave no more than that and a little noise."""
+        return np.asarray((self.losses <= _SHOWN * self.rounded) & (self.rounded > 0))
+
+    @cached_property
+    def rounded(self) -> Array:
+        """Losses of outputs that are rounding of what was recorded."""
+        losses = np.zeros(self.shared.shape[1])
+        for rows in self.experiments:
+            if isinstance(rows, FreeRecord):
+                losses[rows.outputs] += rows.rounded
+        return losses
 
     @property
     def unknowns(self) -> int:

@@ -137,6 +137,7 @@ class FreeRecord:
     lasting: bool = False  # before the record, inputs are taken to have had their first values
     known_lasting: bool | None = None  # whether they are with any delay, as before a filter
     steady: Array | None = None  # (m,) that was subtracted from inputs: what they were before the record
+    steps: Array | None = None  # (q,) that outputs were rounded to, before their scale
     filled: Mask | None = None  # samples (q, T) that were not measured, of outputs with values in their place
 
     @cached_property
@@ -177,6 +178,17 @@ class FreeRecord:
         left_over = np.where(self.observed, self.measured - predicted, 0.0)
         return left_over if self.level is None else left_over / self.level
 
+    @property
+    def rounded(self) -> Array:
+        """Losses (q,) of outputs in their scale that rounding leaves, by `steps^2 / 12` in each sample."""
+        return self.samples / 12 * self._rounded_to**2
+
+    @property
+    def _rounded_to(self) -> Array:
+        """Steps (q,) of outputs in their scale."""
+        steps = np.zeros(len(self.outputs)) if self.steps is None else self.steps
+        return steps if self.scale is None else steps * self.scale
+
     def filled_with(self, y: Array) -> FreeRecord:
         """The record with outputs (q, T) in their scale at all samples, values in place of those that are missing."""
         missing = np.broadcast_to(~self.observed, y.shape) if self.filled is None else self.filled
@@ -191,30 +203,34 @@ class FreeRecord:
 
     @classmethod
     def by_observation(
-        cls, u: Array, y: Array, observed: Mask, hold: Hold, level: Array | None = None, **options: Any
-    ) -> list[FreeRecord]:
+        cls, u: Array, y: Array, observed: Mask, hold: Hold, level: Array | None = None,
+        steps: Array | None = None, **options: Any,
+    ) -> list[FreeRecord]:  # fmt: skip
         """A record with inputs (m, T) and outputs (q, T), divided into outputs observed at the same samples.
 
         So it is into outputs whose noise has the same level (q, T) at all samples.
         """
         groups: dict[bytes, list[int]] = {}
         complete = bool(observed.all())
+        steps = None if steps is None or not steps.any() else steps
         if level is not None:
             for output in np.flatnonzero(observed.any(axis=1)).tolist():
                 groups.setdefault(observed[output].tobytes() + level[output].tobytes(), []).append(output)
             records = [
-                cls(u, y[some], observed[some[0]], hold, outputs=np.array(some), level=level[some[0]], **options)
+                cls(u, y[some], observed[some[0]], hold, outputs=np.array(some), level=level[some[0]],
+                    steps=None if steps is None else steps[some], **options)
                 for some in groups.values()
             ]  # fmt: skip
             return [record.of_one_level() for record in records]
         for output in np.flatnonzero(observed.any(axis=1)).tolist():
             groups.setdefault(b"" if complete else observed[output].tobytes(), []).append(output)
         if len(groups) == 1 and len(y) == len(next(iter(groups.values()))):
-            return [cls(u, y, observed[0], hold, outputs=np.arange(len(y)), **options)]
+            return [cls(u, y, observed[0], hold, outputs=np.arange(len(y)), steps=steps, **options)]
         return [
-            cls(u, y[outputs], observed[outputs[0]], hold, outputs=np.array(outputs), **options)
+            cls(u, y[outputs], observed[outputs[0]], hold, outputs=np.array(outputs),
+                steps=None if steps is None else steps[outputs], **options)
             for outputs in groups.values()
-        ]
+        ]  # fmt: skip
 
     @property
     def inputs(self) -> int:
@@ -297,6 +313,7 @@ class FreeRecord:
         scale, whole = (None if self.scale is None else self.scale[kept]), self.whole_record
         return replace(
             self, y=self.y[kept], outputs=self.outputs[kept], scale=scale,
+            steps=None if self.steps is None else self.steps[kept],
             whole_record=None if whole is None else replace(whole, y=whole.y[kept]),
         )  # fmt: skip
 
@@ -306,6 +323,7 @@ class FreeRecord:
         return replace(
             self, u=self.u * size, y=self.y * size, ahead=None if self.ahead is None else self.ahead * size,
             steady=None if self.steady is None else self.steady * size,
+            steps=None if self.steps is None else self.steps * size,
             whole_record=known and replace(known, u=known.u * size, y=known.y * size),
         )  # fmt: skip
 
@@ -410,8 +428,8 @@ class FreeRecord:
             part = slice((len(b) - 1) * (self.moving and not self.lasting), None)
             record = replace(
                 self, u=u[:, part], y=y[:, part], observed=~missing[part], scale=None, outputs=self.outputs[[row]],
-                known_lasting=self.lasting,
-                level=None if self.level is None else self.level[part],
+                known_lasting=self.lasting, level=None if self.level is None else self.level[part],
+                steps=None if self.steps is None else self._rounded_to[[row]] * np.linalg.norm(b),
             )  # fmt: skip
             records.append(record)
         return records

@@ -63,8 +63,9 @@ def records_of(channels: Sequence[Recording], form: RowOptions) -> list[FreeReco
         u = recording.u if driven and len(acting) == len(recording.u) else recording.u[acting]
         u = u if driven else np.broadcast_to(0.0, (1, recording.samples))
         records += FreeRecord.by_observation(
-            u, recording.y, recording.observed, Hold(recording.dt, form.method, hold), recording.level, **options
-        )
+            u, recording.y, recording.observed, Hold(recording.dt, form.method, hold), recording.level,
+            recording.steps, **options,
+        )  # fmt: skip
     if form.late is None:
         return records
     records = [rows.with_dead_times(form.late.inputs) for rows in records]

@@ -45,6 +45,7 @@ class Cause(Enum):
     COLOURED_RESIDUALS = "residuals that are coloured"
     OUTLIERS = "values far out of the noise"
     SATURATION = "an output that stays at an end of its range"
+    ROUNDED = "an output that is rounded to steps larger than its noise"
     WILD_LINES = "lines of a response far out of all others"
     POLARITY = "a sensor that points against the force"
     HUM = "tone that no input drives"
@@ -91,7 +92,8 @@ class Finding:
         freedom; of a real pole its rate, and the share that it explains of what the modes leave; of coloured residuals
         the ends of the band about the peak of their spectrum, rad per unit time, the density there over its geometric
         mean, and the share of their power; of outliers their places, counted from 0; of an output that
-        stays at an end of its range how many samples do, and that end or both; of the noise of a hammer's force its
+        stays at an end of its range how many samples do, and that end or both; of one that is rounded the step, and how
+        many values it takes; of the noise of a hammer's force its
         standard deviation, and the peak of the force; within contacts also how many times the standard errors of
         residues grow by it; of noise or forces that change the first sample of each span,
         counted from 0, and the noise there over its geometric mean, one after the other; of slow noise the rates of its
@@ -430,6 +432,15 @@ def _of_unidentified(finding: Finding, terms: _Terms) -> str:
     return f"{what} {finding.output} leaves no trace in the data: hold it, or measure where it shows."
 
 
+def _of_rounded(finding: Finding, terms: _Terms) -> str:
+    step, count = finding.values
+    return (
+        f"{finding.output!r}{_experiment(finding, 'in')} is rounded to steps of {step:.3g} ({count:.0f} values), "
+        "which are larger than its noise: each sample counts by how likely it is to be rounded so. More digits, or a "
+        "converter with a smaller range, tell more."
+    )
+
+
 def _of_outliers(finding: Finding, terms: _Terms) -> str:
     which = f"Values of {finding.output!r}{_experiment(finding, 'in')}"
     return far_out(which, [str(int(place)) for place in finding.values])
@@ -454,7 +465,7 @@ _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
     Cause.SLOW_NOISE: _of_slow_noise, Cause.STUCK: _of_stuck,
     Cause.CHANGING_MODE: _of_changing_mode, Cause.MULTIPLE: _of_multiple,
     Cause.HAMMER_NOISE: _of_hammer_noise, Cause.CONTACT_NOISE: _of_contact_noise,
-    Cause.SATURATION: _of_saturation, Cause.WILD_LINES: _of_wild_lines,
+    Cause.SATURATION: _of_saturation, Cause.ROUNDED: _of_rounded, Cause.WILD_LINES: _of_wild_lines,
     Cause.LARGEST_ORDER: _of_largest_order, Cause.FEWER_MODES: _of_fewer_modes, Cause.OUTLIERS: _of_outliers,
     Cause.INPUT_NOISE: _of_input_noise, Cause.PARAMETER_BOUND: _of_parameter_bound,
     Cause.UNIDENTIFIED: _of_unidentified, **dict.fromkeys(REJECTED.values(), _of_rejection),
@@ -463,7 +474,7 @@ _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
 
 # what doubts the data comes first, then what doubts the model, then what the model has beside the modes
 _FIRST = (
-    Cause.SAME_COLUMNS, Cause.SWAPPED, Cause.POLARITY, Cause.STUCK, Cause.SATURATION, Cause.OUTLIERS,
+    Cause.SAME_COLUMNS, Cause.SWAPPED, Cause.POLARITY, Cause.STUCK, Cause.SATURATION, Cause.OUTLIERS, Cause.ROUNDED,
     Cause.WILD_LINES, Cause.CHANGING_MODE, Cause.MULTIPLE, Cause.WRONG_MODEL, Cause.UNIDENTIFIED, Cause.PARAMETER_BOUND,
     Cause.LARGEST_ORDER, Cause.FEWER_MODES, *REJECTED.values(), Cause.INPUT_NOISE, Cause.COLOURED_RESIDUALS,
 )  # fmt: skip
@@ -474,6 +485,7 @@ _TOGETHER = {
     Cause.INPUT_NOISE: "The residuals of {} outputs grow with the response ({}). The most so:",
     Cause.OUTLIERS: "{} outputs have values far outside the noise ({}). Of them:",
     Cause.SATURATION: "{} outputs stay at an end of their range ({}). Of them:",
+    Cause.ROUNDED: "{} outputs are rounded to steps larger than their noise ({}). Of them:",
     Cause.POLARITY: "{} sensors oppose the force at their driving points ({}). Of them:",
     Cause.CHANGING_NOISE: "The noise of {} outputs changes ({}). The most so:",
     Cause.DELAY: "{} outputs come later or earlier than the response to the inputs ({}), by delay. The most so:",
@@ -501,7 +513,7 @@ def sentences_of(findings: Sequence[Finding], intersample: str, time_unit: str |
 
 def _prominence(finding: Finding) -> float:
     """Size by which one finding of several outputs stands for all."""
-    return abs(finding.values[0]) if finding.cause in (Cause.DELAY, Cause.SATURATION) else finding.gain
+    return abs(finding.values[0]) if finding.cause in (Cause.DELAY, Cause.SATURATION, Cause.ROUNDED) else finding.gain
 
 
 def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None) -> str:

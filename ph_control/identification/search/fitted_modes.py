@@ -244,6 +244,11 @@ class FreeFit(Frozen):
         return replace(self.with_rival(lambda rival: replace(rival, delay_open=is_open)), delay_open=is_open)
 
     @property
+    def exact(self) -> bool:
+        """Whether what is left of an output is rounding of numbers, and not of what was recorded."""
+        return self.rounding and not self.projection.rounded.any()
+
+    @property
     def rival(self) -> FreeFit | None:
         """These modes refined with the inputs held otherwise, if that is left to the data; made when first needed."""
         return None if self.held_otherwise is None or self.interrupted else self.held_otherwise()

@@ -161,6 +161,10 @@ class FreeSearch:
         """Residuals of a model."""
         raise NotImplementedError
 
+    def rounded(self, outputs: int) -> Array:
+        """Losses of so many outputs that are rounding of what was measured; 0 of responses."""
+        return np.zeros(outputs)
+
     def losses(self, residuals: Residuals) -> Array:
         """Sum of squares of each output."""
         raise NotImplementedError
@@ -295,12 +299,24 @@ class Records(FreeSearch):
             pairs_seen = correlations(masks, lengths)
             # of means over the pairs of samples that were both measured
             sums = rows * pairs_seen[0] / np.maximum(pairs_seen, 1.0)
-            if self.innovations and len(b := self.innovations[output]) > 1:
+            b = self.innovations[output] if self.innovations else np.ones(1)
+            if len(b) > 1:
                 sums = correlations([_unfiltered(part[0], b, length) for length, part in seen], lengths)
             models, variances = autoregression(sums, min(lengths))
             share = sums[0] / rows[0] if rows[0] > 0 else 1.0
-            orders.append(NoiseOrders(models, variances * share))
+            # rounding is not foretold: through a filter it is as many times as large as that makes white noise
+            powers = np.array([1 + phi @ phi for phi in models])
+            least = self.rounded(output + 1)[output] * powers / (powers[0] * b @ b * rows[0]) if rows[0] > 0 else 0.0
+            orders.append(NoiseOrders(models, np.maximum(variances * share, least)))
         return orders
+
+    def rounded(self, outputs: int) -> Array:
+        """Losses of so many outputs that are rounding of what was recorded."""
+        losses = np.zeros(outputs)
+        for record in self.data:
+            known = record.outputs < outputs
+            losses[record.outputs[known]] += record.rounded[known]
+        return losses
 
     def without_constants(self) -> Records:
         """The same with outputs that have no constant."""

@@ -15,7 +15,7 @@ from ..._types import Array, ComplexArray, Mask
 from ..._units import feels_force
 from ...exceptions import IdentificationError
 from ..data.channels import Recording, ResponseMatrix
-from ..regression.free import FreeProjection, Lateness, refine_free
+from ..regression.free import ROUNDED, FreeProjection, Lateness, refine_free
 from ..regression.frequency_rows import FreeResponse, log_weights
 from ..regression.sections import PoleRegion, Sections
 from ..regression.time_rows import FreeRecord, may_filter
@@ -93,7 +93,8 @@ class FreePath:
         # real equations of each output, losses that are rounding, and the power of all
         counts = self._counted(self.plain)
         self.counts = np.maximum(counts, 1)
-        self.floors = np.maximum(counts * (EPS * counts * extent) ** 2, np.finfo(float).tiny)
+        self._exact = np.maximum(counts * (EPS * counts * extent) ** 2, np.finfo(float).tiny)
+        self._rounded = ROUNDED * self.plain.rounded(len(felt))
         self.search, self._missing = self.plain, np.ones(len(felt))
         self._first = search
         self.whiten(noise, self.power if best is None else best.losses)
@@ -162,6 +163,16 @@ class FreePath:
         """Filters that made the rows, in which the noise is white; none where these are the data."""
         return self.search.innovations if isinstance(self.search, Records) else ()
 
+    def floors_in(self, innovations: tuple[Array, ...]) -> Array:
+        """Losses that are rounding: of numbers, or of outputs that were, through innovations filters."""
+        powers = [float(b @ b) for b in innovations] or 1.0
+        return np.asarray(np.maximum(self._exact, self._rounded * powers))
+
+    @property
+    def floors(self) -> Array:
+        """Losses that are rounding in the present rows."""
+        return self.floors_in(self.innovations)
+
     def drop_constants(self, losses: Array) -> None:
         """Go on with outputs that have no constant."""
         if isinstance(self.plain, Records) and isinstance(self.search, Records):
@@ -201,9 +212,10 @@ class FreePath:
             self.sizes, self.shown = np.asarray(model.sizes), None
             self.scaled = self.search.scaled(self.sizes)
 
-    def loglik(self, losses: Array) -> float:
-        """Log-likelihood at the best variances."""
-        variances = np.maximum(losses, self.floors) / self.counts
+    def loglik(self, losses: Array, innovations: tuple[Array, ...] | None = None) -> float:
+        """Log-likelihood at the best variances, in the present rows or in those that innovations filters made."""
+        floors = self.floors if innovations is None else self.floors_in(innovations)
+        variances = np.maximum(losses, floors) / self.counts
         return float(-0.5 * np.sum(self.counts * (np.log(2 * np.pi * variances) + 1))) + self._log_weights
 
     @cached_property
@@ -216,11 +228,11 @@ class FreePath:
 
     def bic(self, model: FreeModel) -> float:
         """BIC of a model in noise of each output."""
-        return self.criteria(self.loglik(model.losses), self.search.unknowns_of(model.p)).bic
+        return self.criteria(self.loglik(model.losses, model.innovations), self.search.unknowns_of(model.p)).bic
 
     def cost(self, model: FreeModel) -> float:
         """Return the criterion that the order is chosen by, with noise of each output as coloured as it prefers."""
-        cost = self.criteria(self.loglik(model.losses), self.search.unknowns_of(model.p)).by_name(
+        cost = self.criteria(self.loglik(model.losses, model.innovations), self.search.unknowns_of(model.p)).by_name(
             self.options.criterion
         )
         # what no mode explains yet is not taken for noise, nor is rounding
@@ -253,7 +265,7 @@ class FreePath:
         for record in rows:
             counts[record.outputs] += record.samples
         for p in (model.p, more.p):
-            losses = np.maximum(FreeProjection(rows, p).losses, self.floors)
+            losses = np.maximum(FreeProjection(rows, p).losses, self.floors_in(past))
             likelihood.append(-0.5 * float(np.sum(counts * np.log(losses / counts))))
         unknowns = [self.search.unknowns_of(candidate.p) for candidate in (model, more)]
         first, second = (
@@ -368,7 +380,7 @@ class FreePath:
 
     def is_exact(self, model: FreeModel) -> bool:
         """Whether what is left of all outputs is rounding."""
-        return bool(np.all(model.losses <= self.floors))
+        return bool(np.all(model.losses <= self.floors_in(model.innovations)))
 
     def is_white(self, model: FreeModel) -> bool:
         """Whether what is left of each output may be white noise."""

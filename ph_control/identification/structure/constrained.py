@@ -340,7 +340,7 @@ def constrained(
         By Levenberg's and Marquardt's method on the loss itself, O(T n^2) an iteration.  A passive model is the nearest
         in the metric of the information, there and once more at what it leads to.
     """
-    variance = projection.loss / max(1, projection.rows - projection.unknowns)
+    variance = projection.variance_of(projection.loss)
     coordinates = coordinates_of(projection, layout, hypothesis)
     if hypothesis == "free" and delays is None:
         return StructuredFit(
@@ -411,7 +411,7 @@ class Approach:
         parameters = coordinates.dof - end.deficiency + (0 if end.delays is None else end.delays.count)
         # free residues in the delays that a descent began with may be far from the minimum
         least = start.loss if end.delays is None else min(start.loss, end.loss)
-        variance = least / max(1, start.rows - start.unknowns)
+        variance = start.variance_of(least)
         return StructuredFit(
             self.hypothesis, structure_of(self.hypothesis), end.p, end.residues, end.feedthrough, shapes,
             participation, end.loss, parameters, variance, cast(GivenResidues, end.data), self.refinement.converged,
@@ -471,7 +471,7 @@ def nearest_passive_fit(
 
     Nor does it where the squared distance is beyond `max_distance`, in standard errors.
     """
-    variance = projection.loss / max(1, projection.rows - projection.unknowns)
+    variance = projection.variance_of(projection.loss)
     point, unknowns = (
         nearest_passive(projection, layout, variance, max_distance),
         coordinates_of(projection, layout, "free").dof,

@@ -156,7 +156,8 @@ def likelihood_test(projection: FreeProjection, fit: StructuredFit, dof: int) ->
     """
     spare = max(1, projection.rows - projection.unknowns)
     least = max(projection.loss, float(projection.rounding.sum()))
-    variance, gain = least / spare, max(0.0, fit.loss - least) / _inflation(projection, fit, dof)
+    variance = max(least, float(projection.rounded.sum())) / spare
+    gain = max(0.0, fit.loss - least) / _inflation(projection, fit, dof)
     if not dof and gain <= _HELD * variance:
         return HypothesisTest(fit.hypothesis, 0.0, 0, 1.0)
     dof = max(dof, 1)
