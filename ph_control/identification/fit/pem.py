@@ -220,6 +220,10 @@ def pem(
     of noise and of the motion in which blocks begin, by the modes and the noise of each output that the residuals show:
     lines are whitened by it, unless `weights` are given, which are those of noise alone.
 
+    An output `y` whose values are whole steps `s` apart was rounded.  Steps larger than its noise are no evidence of
+    modes, and it is fitted by the probability `Phi((y + s / 2 - x) / sigma) - Phi((y - s / 2 - x) / sigma)` of its step
+    at a predicted output `x`, with noise of deviation `sigma` before it was rounded; `findings` say so.
+
     The force of a hammer counts as 0 outside its contacts where that explains the outputs better than the noise that
     its channel shows there; `findings` say so, and the records of the result have that force.
 
