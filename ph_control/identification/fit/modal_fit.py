@@ -189,7 +189,8 @@ def _beside_motion(
     other = free_refinement(channels, still.free, p, moving=True, **assumptions)
     if other.interrupted:
         return still.cut
-    if cost(other) >= least:
+    # beside a drift an integrator does not rest
+    if cost(other) >= least and not (pushed and still.free.offset > 1 and p.real.max() >= 0):
         return still
     free = search()
     if not (free.interrupted or free.rounding) and cost(other) < cost(free):
