@@ -159,57 +159,71 @@ def of_predicted_delay(channels: Experiments, search: Search, late: Lateness, ga
 
 def on_time(fit: FreeFit, search: Search) -> FreeFit:
     """Let outputs of a fit come some samples after the inputs, or before, where a search with that is likelier."""
-    best, step, anew = fit, fit.channels[0].dt, search.anew(fit)
-    tried = {(_in_samples(fit.delay, step), True)}
+    trials = _Trials(fit, search)
+    for _ in range(_SCANS):
+        # poles that were found in a wrong delay, or none, say little of the right one
+        before, scan = trials.best, _DelayScan.of(trials.best)
+        if scan is not None and search.automatic:
+            trials.compare_fewer_poles(scan)
+        likely = [] if scan is None else scan.likely()
+        trials.compare(likely + ([] if trials.best.delay.any() else _shown_delays(trials.best)))
+        if trials.best is before:
+            break
+    best = trials.best
+    if not best.exact and best.delay.any():
+        near = sorted({*range(-_NEAR, _NEAR + 1)} - {0}, key=abs)
+        trials.compare([best.delay + trials.step * samples for samples in near], best.projection.p)
+    return trials.best
 
-    def likelier(delays: Sequence[Array], poles: ComplexArray | None = None) -> FreeFit:
-        """Return the likeliest of the best fit and those with other delays, searched for or refined from poles."""
-        delays = [delay for delay in delays if (_in_samples(delay, step), poles is None) not in tried]
+
+class _Trials:
+    """Fits with other delays than a first one, of which none is made twice, and the `best` of them."""
+
+    def __init__(self, fit: FreeFit, search: Search) -> None:
+        self._first, self._anew = fit, search.anew(fit)
+        self.best, self.step = fit, fit.channels[0].dt
+        self._made = {self._key(fit.delay, None)}
+
+    def _key(self, delay: Array, poles: ComplexArray | None) -> tuple[tuple[int, ...], bool]:
+        return _in_samples(delay, self.step), poles is None
+
+    def compare(self, delays: Sequence[Array], poles: ComplexArray | None = None) -> None:
+        """Take the likeliest of the best fit and those with other delays, searched for or refined from poles."""
+        delays = [delay for delay in delays if self._key(delay, poles) not in self._made]
         if not delays:
-            return best
-        first, last = float(np.min(delays)), float(np.max(delays))
-        likeliest, gain, before = best, 0.0, bic_within(best, first, last)
+            return
+        first, best, gain = self._first, self.best, 0.0
+        least, most = float(np.min(delays)), float(np.max(delays))
+        before = bic_within(best, least, most)
         for delay in delays:
-            trial = _in_samples(delay, step), poles is None
-            if trial in tried:
+            if self._key(delay, poles) in self._made:
                 continue
-            tried.add(trial)
-            again = anew(replace(fit.lateness, outputs=delay), fit.offset, poles)
-            now = 0.5 * (before - bic_within(again, first, last))
-            least = _least_gain(fit, again) if likeliest is fit and not fit.delay.any() else gain
-            better = now > least
-            if likeliest.exact and again.exact:  # all of exact data, as other delays do: the least of them
-                better = bool(np.sum(np.abs(delay)) < np.sum(np.abs(likeliest.delay)))
+            self._made.add(self._key(delay, poles))
+            again = self._anew(replace(first.lateness, outputs=delay), first.offset, poles)
+            now = 0.5 * (before - bic_within(again, least, most))
+            needed = _least_gain(first, again) if self.best is first and not first.delay.any() else gain
+            better = now > needed
+            if self.best.exact and again.exact:  # all of exact data, as other delays do: the least of them
+                better = bool(np.sum(np.abs(delay)) < np.sum(np.abs(self.best.delay)))
             if better and _responds(again):
-                likeliest, gain = replace(again, findings=fit.findings, delay_gain=best.delay_gain + now), now
-                if again.order < fit.order and not leaves_traces(again.projection):
+                self.best = replace(again, findings=first.findings, delay_gain=best.delay_gain + now)
+                gain = now
+                if again.order < first.order and not leaves_traces(again.projection):
                     break
-        return likeliest
 
-    def of_fewer_poles(scan: _DelayScan) -> FreeFit:
-        """Return the likelier of the best fit and that with a delay in place of one of its poles."""
-        p, delay = scan.of_fewer() if search.automatic else None, np.zeros(0)
-        if p is None:
-            return best
+    def compare_fewer_poles(self, scan: _DelayScan) -> None:
+        """Take a delay in place of one of the poles of the best fit where that is likelier."""
+        p, delay = scan.of_fewer(), np.zeros(0)
         for _ in range(_ROUNDS):
-            again = np.full(len(fit.scales), scan.latest(p) * step)
+            if p is None:
+                break
+            again = np.full(len(self._first.scales), scan.latest(p) * self.step)
             if np.array_equal(again, delay) or not again.any():
                 break
             delay = again
-            p = anew(replace(fit.lateness, outputs=delay), fit.offset, p).projection.p
-        return likelier([delay], p) if len(delay) else best
-
-    for _ in range(_SCANS):
-        # poles that were found in a wrong delay, or none, say little of the right one
-        before, scan = best, _DelayScan.of(best)
-        best = of_fewer_poles(scan) if scan else best
-        best = likelier((scan.likely() if scan else []) + ([] if best.delay.any() else _shown_delays(best)))
-        if best is before:
-            break
-    if best.exact or not best.delay.any():
-        return best
-    near = sorted({*range(-_NEAR, _NEAR + 1)} - {0}, key=abs)
-    return likelier([best.delay + step * samples for samples in near], best.projection.p)
+            p = self._anew(replace(self._first.lateness, outputs=delay), self._first.offset, p).projection.p
+        if len(delay):
+            self.compare([delay], p)
 
 
 def _in_samples(delay: Array, step: float) -> tuple[int, ...]:
