@@ -135,3 +135,12 @@ def test_of_several_experiments_one_may_be_rounded():
     assert (result.order, len(result.real_poles)) == (0, 1)
     assert {finding.experiment for finding in result.findings if finding.cause.name == "ROUNDED"} <= {0}
     np.testing.assert_allclose(result.time_constants, 16.0, rtol=0.02)
+
+
+def test_a_broad_mode_is_no_random_walk_of_steps():
+    # each sample foretells the next to less than what rounding leaves
+    u, damping, size = step_input(600), 0.25, np.exp((-0.25 + 1j * np.sqrt(1 - 0.25**2)) / 15.0)
+    y = 3.0 * lfilter([0, 1 - 2 * size.real + abs(size) ** 2], [1, -2 * size.real, abs(size) ** 2], u)
+    result = phc.pem((u, rounded(y, 60)[0]), dt=1.0)
+    assert (result.order, len(result.real_poles)) == (1, 0)
+    np.testing.assert_allclose(result.damping_ratios, damping, rtol=0.05)

@@ -242,6 +242,14 @@ class FreePath:
             cost += past_of_noise(int(count), noise.variances, self._price)
         return cost
 
+    def cost_in_rows(self, model: FreeModel) -> float:
+        """The same among models in rows of one noise: what foretells rounded outputs may leave less than rounding."""
+        cost = self.cost(model)
+        if not (model.innovations and self._rounded.any()):
+            return cost
+        lowest, lower = (np.maximum(model.losses, least) for least in (self.floors_in(model.innovations), self._exact))
+        return cost - float(self.counts @ np.log(lowest / lower))
+
     @property
     def _price(self) -> float:
         """What the criterion charges for a parameter."""
@@ -379,8 +387,9 @@ class FreePath:
         return isinstance(self.search, Responses) and self.search.crowded
 
     def is_exact(self, model: FreeModel) -> bool:
-        """Whether what is left of all outputs is rounding."""
-        return bool(np.all(model.losses <= self.floors_in(model.innovations)))
+        """Whether what is left of all outputs is rounding; where noise is foretold, that of numbers alone."""
+        floors = self._exact if model.innovations else self.floors_in(())
+        return bool(np.all(model.losses <= floors))
 
     def is_white(self, model: FreeModel) -> bool:
         """Whether what is left of each output may be white noise."""
