@@ -146,7 +146,7 @@ class Recording(InTime):
 
     @cached_property
     def steps(self) -> Array:
-        """Steps (p,) that outputs were rounded to, in the present unit, as their beginning shows; 0 of others."""
+        """Steps (p,) that outputs were rounded to, in the present unit; 0 of others."""
         every = max(1, min(self.samples, LONG) // _LOOKED_AT)
         return _checks.readonly(np.array([rounding_step(row[:LONG:every]) for row in self.y]))
 
@@ -194,6 +194,11 @@ class Recording(InTime):
         changing = _changing(u - u[:, :1])
         first = int(changing[0]) if len(changing) else 0
         return np.median(u[:, :first], axis=1) if first else np.zeros(len(u)), first
+
+    @property
+    def mostly_stays(self) -> bool:
+        """Whether inputs are in most samples what they were before."""
+        return bool(np.mean(np.all(np.diff(self.u[:, :LONG], axis=1) == 0, axis=0)) > 0.5)
 
     @property
     def inputs_at_rest(self) -> Array | None:

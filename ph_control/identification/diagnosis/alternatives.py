@@ -133,9 +133,8 @@ def _predicted(latest: Searched) -> list[tuple[Recording, Array]]:
     places = experiments_of(records, latest.channels).tolist()
     for record, outputs, place in zip(records, free.projection.predictions(), places, strict=True):
         assert isinstance(record, FreeRecord)
-        first = predicted[place].shape[1] - record.length if record.whole_record is None else record.whole_record.first
         sizes = free.scales[record.outputs, None] * record.unit
-        predicted[place][record.outputs, first : first + record.length] = outputs * sizes
+        predicted[place][record.outputs] = record.placed(outputs) * sizes
     return list(zip(recordings, predicted, strict=True))
 
 

@@ -21,7 +21,7 @@ from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.time_record import Difference, Record, Signal, blocks
 from ..diagnosis.fitted_directions import directions_of
-from ..diagnosis.noise_levels import level_of, outliers, saturation, stuck
+from ..diagnosis.noise_levels import level_of, outliers, rounded_outputs, saturation, stuck
 from ..diagnosis.nonlinearity import not_linear
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, POOR_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
 from ..estimates.estimates import Estimates
@@ -373,17 +373,13 @@ def _in_rows(record: Any, channel: Recording | ResponseMatrix, values: NDArray[A
 
 def saturated(experiments: Sequence[FittedChannels], known: Sequence[Finding] = ()) -> list[Finding]:
     """Outputs of recordings that stay at an end of their range, but for those that are known to be rounded."""
-    rounded = {(finding.experiment, finding.output) for finding in known if finding.cause is Cause.ROUNDED}
-    every = [
-        (k, experiment.record) for k, experiment in enumerate(experiments) if isinstance(experiment.record, Recording)
-    ]
+    records = [experiment.record for experiment in experiments if isinstance(experiment.record, Recording)]
     ends = [
         (k, name, saturation(row))
-        for k, record in every
-        for name, row in zip(record.output_labels, record.y, strict=True)
+        for k, (record, rounded) in enumerate(zip(records, rounded_outputs(known, records), strict=True))
+        for name, row in zip(np.array(record.output_labels)[~rounded].tolist(), record.y[~rounded], strict=True)
     ]
-    return [Finding(Cause.SATURATION, (float(count), *of), 0.0, name, k) for k, name, (count, of) in ends
-            if count and (k, name) not in rounded]  # fmt: skip
+    return [Finding(Cause.SATURATION, (float(count), *of), 0.0, name, k) for k, name, (count, of) in ends if count]
 
 
 def at_rest(experiments: Sequence[FittedChannels]) -> list[Finding]:

@@ -213,12 +213,16 @@ class FreeRecord:
         groups: dict[bytes, list[int]] = {}
         complete = bool(observed.all())
         steps = None if steps is None or not steps.any() else steps
+
+        def stepped(some: list[int]) -> Array | None:
+            return None if steps is None else steps[some]
+
         if level is not None:
             for output in np.flatnonzero(observed.any(axis=1)).tolist():
                 groups.setdefault(observed[output].tobytes() + level[output].tobytes(), []).append(output)
             records = [
                 cls(u, y[some], observed[some[0]], hold, outputs=np.array(some), level=level[some[0]],
-                    steps=None if steps is None else steps[some], **options)
+                    steps=stepped(some), **options)
                 for some in groups.values()
             ]  # fmt: skip
             return [record.of_one_level() for record in records]
@@ -228,7 +232,7 @@ class FreeRecord:
             return [cls(u, y, observed[0], hold, outputs=np.arange(len(y)), steps=steps, **options)]
         return [
             cls(u, y[outputs], observed[outputs[0]], hold, outputs=np.array(outputs),
-                steps=None if steps is None else steps[outputs], **options)
+                steps=stepped(outputs), **options)
             for outputs in groups.values()
         ]  # fmt: skip
 

@@ -287,8 +287,9 @@ class Records(FreeSearch):
 
     def noise(self, residuals: Residuals) -> list[NoiseOrders]:
         """Autoregressions of the noise of each output in the data, from the residuals of the rows."""
-        orders = []
-        for output in range(1 + max(int(record.outputs.max()) for record in self.data)):
+        orders, count = [], 1 + max(int(record.outputs.max()) for record in self.data)
+        rounded = self.rounded(count)
+        for output in range(count):
             pairs = zip(self.data, residuals, strict=True)
             seen = [
                 (record.length, part[record.outputs == output]) for record, part in pairs if output in record.outputs
@@ -306,7 +307,7 @@ class Records(FreeSearch):
             share = sums[0] / rows[0] if rows[0] > 0 else 1.0
             # rounding is not foretold: through a filter it is as many times as large as that makes white noise
             powers = np.array([1 + phi @ phi for phi in models])
-            least = self.rounded(output + 1)[output] * powers / (powers[0] * b @ b * rows[0]) if rows[0] > 0 else 0.0
+            least = rounded[output] * powers / (b @ b * rows[0]) if rows[0] > 0 else 0.0
             orders.append(NoiseOrders(models, np.maximum(variances * share, least)))
         return orders
 
@@ -314,8 +315,7 @@ class Records(FreeSearch):
         """Losses of so many outputs that are rounding of what was recorded."""
         losses = np.zeros(outputs)
         for record in self.data:
-            known = record.outputs < outputs
-            losses[record.outputs[known]] += record.rounded[known]
+            losses[record.outputs] += record.rounded
         return losses
 
     def without_constants(self) -> Records:

@@ -212,10 +212,9 @@ class FreePath:
             self.sizes, self.shown = np.asarray(model.sizes), None
             self.scaled = self.search.scaled(self.sizes)
 
-    def loglik(self, losses: Array, innovations: tuple[Array, ...] | None = None) -> float:
-        """Log-likelihood at the best variances, in the present rows or in those that innovations filters made."""
-        floors = self.floors if innovations is None else self.floors_in(innovations)
-        variances = np.maximum(losses, floors) / self.counts
+    def loglik(self, losses: Array, floors: Array | None = None) -> float:
+        """Log-likelihood at the best variances, of losses above floors, by default those of the present rows."""
+        variances = np.maximum(losses, self.floors if floors is None else floors) / self.counts
         return float(-0.5 * np.sum(self.counts * (np.log(2 * np.pi * variances) + 1))) + self._log_weights
 
     @cached_property
@@ -228,13 +227,21 @@ class FreePath:
 
     def bic(self, model: FreeModel) -> float:
         """BIC of a model in noise of each output."""
-        return self.criteria(self.loglik(model.losses, model.innovations), self.search.unknowns_of(model.p)).bic
+        return self._criteria_of(model, self.floors_in(model.innovations)).bic
+
+    def _criteria_of(self, model: FreeModel, floors: Array) -> Criteria:
+        return self.criteria(self.loglik(model.losses, floors), self.search.unknowns_of(model.p))
 
     def cost(self, model: FreeModel) -> float:
         """Return the criterion that the order is chosen by, with noise of each output as coloured as it prefers."""
-        cost = self.criteria(self.loglik(model.losses, model.innovations), self.search.unknowns_of(model.p)).by_name(
-            self.options.criterion
-        )
+        return self._cost(model, self.floors_in(model.innovations))
+
+    def cost_in_rows(self, model: FreeModel) -> float:
+        """The same among models in rows of one noise: what foretells rounded outputs may leave less than rounding."""
+        return self._cost(model, self._least(model))
+
+    def _cost(self, model: FreeModel, floors: Array) -> float:
+        cost = self._criteria_of(model, floors).by_name(self.options.criterion)
         # what no mode explains yet is not taken for noise, nor is rounding
         if self.options.white or not (len(model.p) or model.innovations) or self.is_exact(model):
             return cost
@@ -242,13 +249,9 @@ class FreePath:
             cost += past_of_noise(int(count), noise.variances, self._price)
         return cost
 
-    def cost_in_rows(self, model: FreeModel) -> float:
-        """The same among models in rows of one noise: what foretells rounded outputs may leave less than rounding."""
-        cost = self.cost(model)
-        if not (model.innovations and self._rounded.any()):
-            return cost
-        lowest, lower = (np.maximum(model.losses, least) for least in (self.floors_in(model.innovations), self._exact))
-        return cost - float(self.counts @ np.log(lowest / lower))
+    def _least(self, model: FreeModel) -> Array:
+        """Losses of a model that are rounding, of numbers alone where noise is foretold."""
+        return self._exact if model.innovations else self.floors_in(())
 
     @property
     def _price(self) -> float:
@@ -388,8 +391,7 @@ class FreePath:
 
     def is_exact(self, model: FreeModel) -> bool:
         """Whether what is left of all outputs is rounding; where noise is foretold, that of numbers alone."""
-        floors = self._exact if model.innovations else self.floors_in(())
-        return bool(np.all(model.losses <= floors))
+        return bool(np.all(model.losses <= self._least(model)))
 
     def is_white(self, model: FreeModel) -> bool:
         """Whether what is left of each output may be white noise."""

@@ -156,8 +156,7 @@ def likelihood_test(projection: FreeProjection, fit: StructuredFit, dof: int) ->
     """
     spare = max(1, projection.rows - projection.unknowns)
     least = max(projection.loss, float(projection.rounding.sum()))
-    variance = max(least, float(projection.rounded.sum())) / spare
-    gain = max(0.0, fit.loss - least) / _inflation(projection, fit, dof)
+    variance, gain = projection.variance_of(least), max(0.0, fit.loss - least) / _inflation(projection, fit, dof)
     if not dof and gain <= _HELD * variance:
         return HypothesisTest(fit.hypothesis, 0.0, 0, 1.0)
     dof = max(dof, 1)

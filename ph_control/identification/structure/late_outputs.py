@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..._types import Array, Mask
+from ..._types import Mask
 from ..._units import feels_force
 from ..data.channels import Recording
-from ..data.time_record import LONG
 from ..regression.free import FreeProjection, Lateness
 from ..regression.tuning import TUNING
 from ..search.fitted_modes import FreeFit
@@ -58,13 +57,8 @@ def _refined_under_hold(first: Choice, request: Request, refined: Callable[[Choi
     pair = [refined(choice) for choice in (first, Choice.of(rival, request))]
     held, linear = pair if first.free.intersample == "zoh" else pair[::-1]
     gain = linear.gain(held)
-    stays = all(isinstance(data, Recording) and _mostly_stays(data.u) for data in first.free.channels)
+    stays = all(isinstance(data, Recording) and data.mostly_stays for data in first.free.channels)
     return with_finding_of_hold(linear if gain > (TUNING.sure if stays else 0.5 * SAME) else held, gain)
-
-
-def _mostly_stays(u: Array) -> bool:
-    """Whether inputs (m, T) are in most samples what they were before."""
-    return bool(np.mean(np.all(np.diff(u[:, :LONG], axis=1) == 0, axis=0)) > 0.5)
 
 
 def _with_own_delays(late: Choice, request: Request, with_delay: WithDelay | None) -> Choice:
