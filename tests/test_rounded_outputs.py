@@ -144,3 +144,12 @@ def test_a_broad_mode_is_no_random_walk_of_steps():
     result = phc.pem((u, rounded(y, 60)[0]), dt=1.0)
     assert (result.order, len(result.real_poles)) == (1, 0)
     np.testing.assert_allclose(result.damping_ratios, damping, rtol=0.05)
+
+
+def test_a_broad_mode_beside_steps_of_a_tenth_of_the_range_is_not_noise():
+    rng = np.random.default_rng(34)
+    u, damping, size = steps_up_and_down(rng, hold=50), 0.32, np.exp((-0.32 + 1j * np.sqrt(1 - 0.32**2)) / 15.0)
+    y = 2.0 * lfilter([0, 1 - 2 * size.real + abs(size) ** 2], [1, -2 * size.real, abs(size) ** 2], u)
+    result = phc.pem((u, rounded(y, 10, 0.2, 0.1, rng)[0]), dt=1.0)
+    assert (result.order, len(result.real_poles)) == (1, 0)
+    np.testing.assert_allclose(result.damping_ratios, damping, rtol=0.1)

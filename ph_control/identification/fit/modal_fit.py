@@ -189,8 +189,9 @@ def _beside_motion(
     other = free_refinement(channels, still.free, p, moving=True, **assumptions)
     if other.interrupted:
         return still.cut
-    # beside a drift an integrator does not rest
-    if cost(other) >= least and not (pushed and still.free.offset > 1 and p.real.max() >= 0):
+    # beside a drift an integrator does not rest; what leaves rounding alone needs no noise
+    drifts = pushed and still.free.offset > 1 and p.real.max() >= 0
+    if cost(other) >= least and not drifts and other.rounding <= still.free.rounding:
         return still
     free = search()
     if not (free.interrupted or free.rounding) and cost(other) < cost(free):

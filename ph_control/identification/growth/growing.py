@@ -138,11 +138,9 @@ def _residues(path: FreePath, projection: FreeProjection, channels: Experiments)
 
 
 def _grown(path: FreePath, start: ComplexArray, most: int, automatic: bool,
-    after: Callable[[FreeModel], FreeModel] | None = None,
+    after: Callable[[FreeModel], FreeModel] = lambda model: model,
 ) -> FreeModel:  # fmt: skip
     """Let modes join from a start as long as the criterion prefers it; none is doubted, `after` changes each model."""
-    cost = path.cost_in_rows if after is None else path.cost
-    after = after or (lambda model: model)
     model = after(path.reweighted(path.model(start)))
     best, missed = model, 0
     while missed < TUNING.patience and not path.is_exact(model):
@@ -150,7 +148,7 @@ def _grown(path: FreePath, start: ComplexArray, most: int, automatic: bool,
         if more is None:
             break
         model = after(more)
-        if not automatic or cost(model) < cost(best):
+        if not automatic or path.cost(model) < path.cost(best):
             best, missed = model, 0
         else:
             missed += 1

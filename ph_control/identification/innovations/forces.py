@@ -12,7 +12,7 @@ from scipy.special import chdtrc
 
 from ..._types import Array, ComplexArray, Mask
 from ..data.channels import Recording, bridged
-from ..regression.free import FreeProjection
+from ..regression.free import ROUNDED, FreeProjection
 from ..regression.sections import Sections
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
@@ -701,7 +701,9 @@ def _in_noise(free: FreeFit, best: Minimum, alone: float, certain: bool) -> Free
     projection = FreeProjection(evaluation.problem.rows, point.poles, evaluation.problem.fed, point.noise.sections)
     unknowns = projection.unknowns + noise.unknowns
     joint = JointProjection.of(projection, point.shared, Quadratic.of(best), unknowns)
-    loglik = -0.5 * evaluation.cost - samples * float(np.sum(np.log(free.scales)))
+    # what foretells the rounding of outputs is no likelier for that
+    floors = np.maximum(1.0, ROUNDED * projection.rounded / (samples * np.diag(evaluation.covariance)))
+    loglik = -0.5 * evaluation.cost - samples * float(np.sum(np.log(free.scales * np.sqrt(floors))))
     criteria = Criteria.of(loglik, unknowns + p, float(samples * p))
     if not certain and free.criteria.bic <= criteria.bic and (free.noise or noise.is_coloured):
         return free

@@ -19,7 +19,7 @@ from ..._options import Interpolation
 from ..._types import Array, ComplexArray, Indices
 from ...modal.discretization import Hold
 from ..regression.elimination import orthogonal, reduced, tolerance, without
-from ..regression.free import FreeProjection, FreeRows
+from ..regression.free import ROUNDED, FreeProjection, FreeRows
 from ..regression.frequency_rows import FreeResponse, Term
 from ..regression.sections import PoleRegion
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow, real_rows
@@ -162,7 +162,7 @@ class FreeSearch:
         raise NotImplementedError
 
     def rounded(self, outputs: int) -> Array:
-        """Losses of so many outputs that are rounding of what was measured; 0 of responses."""
+        """Losses of so many outputs that may be rounding of what was measured; 0 of responses."""
         return np.zeros(outputs)
 
     def losses(self, residuals: Residuals) -> Array:
@@ -312,10 +312,10 @@ class Records(FreeSearch):
         return orders
 
     def rounded(self, outputs: int) -> Array:
-        """Losses of so many outputs that are rounding of what was recorded."""
+        """Losses of so many outputs that may be rounding of what was recorded, and are evidence of nothing."""
         losses = np.zeros(outputs)
         for record in self.data:
-            losses[record.outputs] += record.rounded
+            losses[record.outputs] += ROUNDED * record.rounded
         return losses
 
     def without_constants(self) -> Records:

@@ -15,7 +15,7 @@ from ..._types import Array, ComplexArray, Mask
 from ..._units import feels_force
 from ...exceptions import IdentificationError
 from ..data.channels import Recording, ResponseMatrix
-from ..regression.free import ROUNDED, FreeProjection, Lateness, refine_free
+from ..regression.free import FreeProjection, Lateness, refine_free
 from ..regression.frequency_rows import FreeResponse, log_weights
 from ..regression.sections import PoleRegion, Sections
 from ..regression.time_rows import FreeRecord, may_filter
@@ -94,7 +94,7 @@ class FreePath:
         counts = self._counted(self.plain)
         self.counts = np.maximum(counts, 1)
         self._exact = np.maximum(counts * (EPS * counts * extent) ** 2, np.finfo(float).tiny)
-        self._rounded = ROUNDED * self.plain.rounded(len(felt))
+        self._rounded = self.plain.rounded(len(felt))
         self.search, self._missing = self.plain, np.ones(len(felt))
         self._first = search
         self.whiten(noise, self.power if best is None else best.losses)
@@ -227,31 +227,21 @@ class FreePath:
 
     def bic(self, model: FreeModel) -> float:
         """BIC of a model in noise of each output."""
-        return self._criteria_of(model, self.floors_in(model.innovations)).bic
+        return self._criteria_of(model).bic
 
-    def _criteria_of(self, model: FreeModel, floors: Array) -> Criteria:
-        return self.criteria(self.loglik(model.losses, floors), self.search.unknowns_of(model.p))
+    def _criteria_of(self, model: FreeModel) -> Criteria:
+        loglik = self.loglik(model.losses, self.floors_in(model.innovations))
+        return self.criteria(loglik, self.search.unknowns_of(model.p))
 
     def cost(self, model: FreeModel) -> float:
         """Return the criterion that the order is chosen by, with noise of each output as coloured as it prefers."""
-        return self._cost(model, self.floors_in(model.innovations))
-
-    def cost_in_rows(self, model: FreeModel) -> float:
-        """The same among models in rows of one noise: what foretells rounded outputs may leave less than rounding."""
-        return self._cost(model, self._least(model))
-
-    def _cost(self, model: FreeModel, floors: Array) -> float:
-        cost = self._criteria_of(model, floors).by_name(self.options.criterion)
+        cost = self._criteria_of(model).by_name(self.options.criterion)
         # what no mode explains yet is not taken for noise, nor is rounding
         if self.options.white or not (len(model.p) or model.innovations) or self.is_exact(model):
             return cost
         for count, noise in zip(self.counts, model.noise, strict=False):
             cost += past_of_noise(int(count), noise.variances, self._price)
         return cost
-
-    def _least(self, model: FreeModel) -> Array:
-        """Losses of a model that are rounding, of numbers alone where noise is foretold."""
-        return self._exact if model.innovations else self.floors_in(())
 
     @property
     def _price(self) -> float:
@@ -391,7 +381,7 @@ class FreePath:
 
     def is_exact(self, model: FreeModel) -> bool:
         """Whether what is left of all outputs is rounding; where noise is foretold, that of numbers alone."""
-        return bool(np.all(model.losses <= self._least(model)))
+        return bool(np.all(model.losses <= (self._exact if model.innovations else self.floors_in(()))))
 
     def is_white(self, model: FreeModel) -> bool:
         """Whether what is left of each output may be white noise."""
