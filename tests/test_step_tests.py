@@ -194,3 +194,15 @@ def test_an_integrator_that_runs_from_the_beginning_is_not_in_balance():
     result = phc.pem((u, y), dt=1.0)
     assert np.abs(result.real_poles).min() < 1e-3 and not result.experiments[0].resting
     np.testing.assert_allclose(result.residues.real.ravel()[0], 0.04, rtol=0.03)
+
+
+@pytest.mark.parametrize(("delay", "seed"), [(4.0, 0), (6.0, 4)])
+def test_lags_that_fall_together_hide_no_constant(delay, seed):
+    # those that stand for a dead time that is not looked for leave no errors of the constant to judge by
+    u = np.select([np.arange(300) < 20, np.arange(300) < 200], [5.0, 7.0], 6.3)
+    late = np.concatenate([np.full(round(delay), 5.0), u])[:300] - 5.0
+    y = 30.0 + ct.forced_response(ct.c2d(ct.tf([2.0], [12, 1]), 1.0), np.arange(300.0), late).outputs
+    y += 0.02 * np.random.default_rng(seed).standard_normal(300)
+    result = phc.pem((u, y), dt=1.0, delay=0.0)
+    assert ct.dcgain(result.system).item() == pytest.approx(2.0, rel=0.02)
+    assert np.std(result.experiments[0].predicted - y) < 0.023

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from functools import cache, partial
 
@@ -127,13 +128,14 @@ def _without_what_is_needless(
     fed: Mask | None = None
     if projection.has_feedthrough and not path.felt.all():
         fed = path.felt | fed_through(path, projection)
-    level = constant_open and evidence_of_constants(projection) < _least_of_constants(path, projection)
-    if level:
-        path.drop_constants(losses)
-    if level or (fed is not None and not fed.all()):
-        projection, losses = settled(path, projection.p, fed, rtol, None if level else projection)
-    if constant_open and not level:
-        projection, losses = _without_needless_constants(path, projection, losses, fed, rtol)
+    constants = constant_open and evidence_of_constants(projection) >= _least_of_constants(path, projection)
+    if constant_open and (not constants or np.any(np.abs(projection.p) < path.scaled.region.bin)):
+        slowness = 1.0 if constants else max(itertools.chain(*_slowness(projection)))
+        without = _without_constants(path, projection, losses, fed, rtol, slowness)
+        if without is not None:
+            return *without, fed
+    if fed is not None and not fed.all():
+        projection, losses = settled(path, projection.p, fed, rtol, projection)
     return projection, losses, fed
 
 
@@ -143,24 +145,23 @@ def _least_of_constants(path: FreePath, projection: FreeProjection) -> float:
     return float(max(2 * TUNING.likely, constants * np.log(projection.rows)))
 
 
-def _without_needless_constants(
-    path: FreePath, projection: FreeProjection, losses: Array, fed: Mask | None, rtol: float | None
-) -> tuple[FreeProjection, Array]:
-    """Find the minimum without constants of the outputs where their own errors say nothing, and they explain little.
+def _without_constants(
+    path: FreePath, projection: FreeProjection, losses: Array, fed: Mask | None, rtol: float | None, slowness: float
+) -> tuple[FreeProjection, Array] | None:
+    """Find the minimum without constants of the outputs; None where these explain more than noise of such a slowness.
 
-    Beside an integrator, or what is nearly one, a constant is the same as its initial state: what it explains is seen
-    without it.
+    Beside an integrator, or what is nearly one, a constant is the same as its initial state, and of poles that are
+    nearly the same no errors can be told: what it explains is seen without it.
     """
-    if not np.any(np.abs(projection.p) < path.scaled.region.bin):
-        return projection, losses
     kept = path.plain, path.search
     path.drop_constants(losses)
     level, level_losses = settled(path, projection.p, fed, rtol)
-    if 2 * (path.loglik(losses) - path.loglik(level_losses)) < _least_of_constants(path, projection):
+    explained = 2 * (path.loglik(losses) - path.loglik(level_losses)) / slowness
+    if explained < _least_of_constants(path, projection):
         return level, level_losses
     path.plain, path.search = kept
     path.weigh(losses)
-    return projection, losses
+    return None
 
 
 def settled(
