@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -43,6 +43,8 @@ from .options import Options
 from .outputs_alone import are_alone, of_outputs_alone
 from .pem_result import PEMResult
 from .result import OrderRow, cut_short
+
+_CLEAR = 0.2  # gain in the BIC for each sample: residuals that are smaller by a tenth
 
 
 def fit_channels(
@@ -90,7 +92,9 @@ def _of_modes_and_inputs(
         return partial(free_fit, channels, **assumptions)
 
     def searched(channels: Channels) -> Searched:
-        return _beside_motion(channels, order, start, options, assumptions)
+        simple = replace(options.plain(channels), max_order=1, real_poles=0)
+        of_mode = _assumptions(request, simple)
+        return _beside_motion(channels, order, start, options, assumptions, of_mode)
 
     def refined(channels: Channels, like: Searched, p: ComplexArray) -> Searched:
         free = free_refinement(channels, like.free, p, moving=like.moving, **assumptions)
@@ -161,7 +165,12 @@ def _in_noise_of(noise: str, structure: str, fit: FreeFit, orders: Orders, like:
 
 
 def _beside_motion(
-    channels: Channels, order: int | str, start: ComplexArray | None, options: Options, assumptions: dict[str, Any]
+    channels: Channels,
+    order: int | str,
+    start: ComplexArray | None,
+    options: Options,
+    assumptions: dict[str, Any],
+    of_mode: dict[str, Any],
 ) -> Searched:
     """The fit, and whether modes are in motion where records begin: of those at rest only where that explains more.
 
@@ -171,32 +180,62 @@ def _beside_motion(
     if resting is None:
         free = free_fit(channels, order, start=start, moving=options.moving, **assumptions)
         return Searched(channels, free, options.moving)
+    moving = cache(partial(free_fit, channels, order, start=start, moving=True, **assumptions))
+    sure = None if options.is_plain else _surely_in_motion(channels, resting, moving, assumptions, of_mode)
+    if sure is not None:
+        return sure
     still = Searched(resting, free_fit(resting, order, start=start, moving=False, **assumptions), False)
     p, pushed = still.free.projection.p, any(np.any(data.steady) for data in resting)
     if still.free.interrupted or not (len(p) or pushed):
         return still
-
-    def cost(free: FreeFit) -> float:
-        """BIC as of all the samples that a fit at rest has."""
-        return free.criteria.bic * still.free.projection.rows / free.projection.rows
-
     # beside a constant what an input holds looks like a motion of the right size
-    least = still.bic - 2 * TUNING.likely * pushed
-    search = partial(free_fit, channels, order, start=start, moving=True, **assumptions)
+    least = 2 * TUNING.likely * pushed
     if not len(p):
-        free = search()
-        return still if cost(free) >= least else Searched(channels, free, True)
+        free = moving()
+        return Searched(channels, free, True) if _gain(free, still.free) > least else still
     other = free_refinement(channels, still.free, p, moving=True, **assumptions)
     if other.interrupted:
         return still.cut
     # beside a drift an integrator does not rest; what leaves rounding alone needs no noise
     drifts = pushed and still.free.offset > 1 and p.real.max() >= 0
-    if cost(other) >= least and not drifts and other.rounding <= still.free.rounding:
+    if _gain(other, still.free) <= least and not drifts and other.rounding <= still.free.rounding:
         return still
-    free = search()
-    if not (free.interrupted or free.rounding) and cost(other) < cost(free):
+    free = moving()
+    if not (free.interrupted or free.rounding) and _gain(other, free) > 0:
         free = replace(other, order_table=free.order_table)
     return Searched(channels, free, True)
+
+
+def _surely_in_motion(
+    channels: Channels, resting: Channels, moving: Callable[[], FreeFit], assumptions: dict[str, Any],
+    of_mode: dict[str, Any],
+) -> Searched | None:  # fmt: skip
+    """The fit in motion where that of one mode is far likelier: a search for what stands for a motion takes long.
+
+    None where it is not, or where the fit at rest is nearly as likely from the same poles; what it cut if interrupted.
+    """
+    rough = free_fit(resting, 1, moving=False, **of_mode)
+    p = rough.projection.p
+    if rough.interrupted or not len(p):
+        return Searched(resting, rough, False) if rough.interrupted else None
+    begun = free_refinement(channels, rough, p, moving=True, **of_mode)
+    if begun.interrupted:
+        return Searched(resting, rough, False).cut
+    if _gain(begun, rough) <= max(2 * TUNING.likely, _CLEAR * rough.projection.rows):
+        return None
+    free = moving()
+    p = free.projection.p
+    if free.interrupted or not len(p):
+        return Searched(channels, free, True)
+    other = free_refinement(resting, free, p, moving=False, **assumptions)
+    if other.interrupted:
+        return Searched(channels, free, True).cut
+    return Searched(channels, free, True) if _gain(free, other) > 2 * TUNING.likely else None
+
+
+def _gain(fit: FreeFit, other: FreeFit) -> float:
+    """By how much the BIC of a fit is smaller than that of another, as of as many samples."""
+    return other.criteria.bic - fit.criteria.bic * other.projection.rows / fit.projection.rows
 
 
 def _at_rest(channels: Channels, options: Options) -> tuple[Recording, ...] | None:
