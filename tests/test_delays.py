@@ -405,3 +405,16 @@ def test_outputs_may_be_sampled_less_often_than_inputs():
     assert (result.order, len(result.real_poles)) == (0, 1)
     np.testing.assert_allclose(result.time_constants, 55.0, rtol=0.06)
     np.testing.assert_allclose(result.delay, 23.85, atol=3.0)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_is_fed_through_may_come_late(seed):
+    # half of the output follows the input at once, as later as the lag does: no part of a sample says as much
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([-1.0, 1.0], 41), 20)[:800]
+    y = 0.5 * np.concatenate([np.zeros(8), u[:-8]]) + 0.5 * lagging(u, 20, 8)
+    y += 0.01 * y.std() * rng.standard_normal(800)
+    result = phc.pem((u, y), dt=1.0, quantity="free")
+    assert (result.order, len(result.real_poles), result.delay[0]) == (0, 1, 8.0)
+    np.testing.assert_allclose(result.system.D, 0.5, rtol=0.02)
+    np.testing.assert_allclose(result.time_constants, 20.0, rtol=0.02)

@@ -64,19 +64,21 @@ def _refined_under_hold(first: Choice, request: Request, refined: Callable[[Choi
 def _with_own_delays(late: Choice, request: Request, with_delay: WithDelay | None) -> Choice:
     """The structure in late rows, with other delays where these explain more, or its own refined.
 
-    What is fed through after whole samples may be no more than a part of a sample.
+    What is fed through after whole samples may be no more than a part of a sample: it stays where that explains less.
     """
     stands = late.stands(request)
     chosen = None if stands else _likelier_with_delays(late, None, request, with_delay)
     if chosen is not None:
         return chosen
-    if late.fit.structure == "free":
-        return _refined_either(late, request)
-    own = _refined(late, late.fit.hypothesis, request) if stands else late
     fed = late.free.projection.fed
-    if request.structure != "auto" or fed is None or not np.any(fed & ~_felt(late.free, request)):
-        return own
-    return _simpler(own, _refined(_freely(late, request), "free", request))
+    fed_through = request.structure == "auto" and fed is not None and np.any(fed & ~_felt(late.free, request))
+    if late.fit.structure == "free":
+        own = _refined_either(late, request)
+    else:
+        own = _refined(late, late.fit.hypothesis, request) if stands else late
+        if fed_through:
+            own = _simpler(own, _refined(_freely(late, request), "free", request))
+    return late if fed_through and late.gain(own) > TUNING.sure else own
 
 
 def _likelier_with_delays(
