@@ -24,6 +24,7 @@ from ..diagnosis.verdict import WHITE
 from ..estimates.estimates import Estimates
 from ..innovations.forces import KINDS, MOST_MISSING, beside_forces
 from ..moves.assumptions import alone
+from ..moves.drifts import with_constants
 from ..moves.free_fit import free_fit, free_refinement
 from ..parameters.fitted_parameters import FittedParameters
 from ..regression.free import FreeProjection, Lateness, refine_free
@@ -202,7 +203,7 @@ def _beside_motion(
         return still
     free = moving()
     if not (free.interrupted or free.rounding) and _gain(other, free) > 0:
-        free = replace(other, order_table=free.order_table)
+        free = _with_table_of(free, other)
     return Searched(channels, free, True)
 
 
@@ -212,7 +213,8 @@ def _surely_in_motion(
 ) -> Searched | None:  # fmt: skip
     """The fit in motion where that of one mode is far likelier: a search for what stands for a motion takes long.
 
-    None where it is not, or where the fit at rest is nearly as likely from the same poles; what it cut if interrupted.
+    That at rest where it is likelier from the same poles, and no more is to be found: both leave white noise.  None
+    where neither is so; what it cut if interrupted.
     """
     rough = free_fit(resting, 1, moving=False, **of_mode)
     p = rough.projection.p
@@ -230,7 +232,15 @@ def _surely_in_motion(
     other = free_refinement(resting, free, p, moving=False, **assumptions)
     if other.interrupted:
         return Searched(channels, free, True).cut
-    return Searched(channels, free, True) if _gain(free, other) > 2 * TUNING.likely else None
+    gain = _gain(free, other)
+    if gain <= 0 and free.leaves_white_noise and other.leaves_white_noise:
+        return Searched(resting, _with_table_of(free, other), False)
+    return Searched(channels, free, True) if gain > 2 * TUNING.likely else None
+
+
+def _with_table_of(searched: FreeFit, refined: FreeFit) -> FreeFit:
+    """A fit that was refined, with the order table of a search, and the finding of constants."""
+    return replace(with_constants(refined), order_table=searched.order_table)
 
 
 def _gain(fit: FreeFit, other: FreeFit) -> float:

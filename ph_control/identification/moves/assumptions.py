@@ -19,6 +19,8 @@ from ..search.path import FreePath, Reports, SearchOptions
 
 Anew = Callable[[Lateness, int, ComplexArray | None], FreeFit]  # search, or from poles, with delays and offsets
 
+_HOPELESS = 0.2  # BIC for each sample by which a fit is less likely: residuals that are larger by a tenth
+
 
 def alone(fit: FreeFit, orders: Orders, like: FreeFit | None = None) -> FreeFit:
     """Return a fit as it is, in white noise."""
@@ -182,11 +184,13 @@ class Search:
         path.best = model
         return end_of_search(path, p, count_modes(p), False, channels, either_hold=self.held is None, refined=False)
 
-    def anew(self, fit: FreeFit) -> Anew:
+    def anew(self, fit: FreeFit, *, compared: bool = True) -> Anew:
         """Return what searches, or refines from poles, in the noise of a fit with other delays and offsets.
 
-        Where outputs may drift, a search asks anew whether they have a constant.
+        Where outputs may drift, a search asks anew whether they have a constant.  What is `compared` with the fit is
+        refined to the last digit only where it is not far less likely from the first.
         """
+        limit = fit.criteria.bic / fit.projection.rows + _HOPELESS if compared else np.inf
 
         def search_or_refine(late: Lateness, terms: int, start: ComplexArray | None) -> FreeFit:
             terms = max(terms, int(self.assumptions.drifting and start is None))
@@ -197,8 +201,9 @@ class Search:
             else:
                 model = path.model(start)
                 model = path.in_its_noise(model) if fit.noise else model
-                again = finished(path, model, fit.channels, self.automatic)
-                if self.held is None:
+                refined = path.bic(model) <= limit * path.counts.sum()
+                again = finished(path, model, fit.channels, self.automatic, refined=refined)
+                if self.held is None and refined:
                     again = with_other_hold(path, again, model, fit.channels, self.automatic)
             if again.interrupted:
                 raise KeyboardInterrupt

@@ -119,7 +119,7 @@ def free_refinement(channels: Experiments, like: FreeFit, p: ComplexArray, **ass
         return _fitted(channels, count_modes(p), given, p)
     search = Search(given, p, count_modes(p), False)
     try:
-        fit = search.anew(replace(like, channels=tuple(channels)))(like.lateness, like.offset, p)
+        fit = search.anew(replace(like, channels=tuple(channels)), compared=False)(like.lateness, like.offset, p)
     except KeyboardInterrupt:
         return replace(like, interrupted=True)
     return fit if like.beside is None else given.beside(fit, orders=Orders(), like=like)
