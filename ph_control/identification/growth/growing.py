@@ -195,8 +195,10 @@ def _with_modes(path: FreePath, model: FreeModel, most: int, automatic: bool) ->
         if len(joining):
             trial = path.model(np.append(model.p, joining))
             lags = int(np.sum(are_broad(model.p)))
-            sound = cleaned(path, trial, lags) if automatic else trial
-            if len(sound.p) > len(model.p) and is_sound(path, sound, lags):
+            if automatic and len(joining) > 1 and path.cost(trial) > path.cost(model):
+                continue  # alone the strongest may be of more use
+            sound = cleaned(path, trial, lags, model) if automatic else trial
+            if _is_step(path, model, sound) and is_sound(path, sound, lags):
                 return path.reweighted(sound)
             first = first or trial
     return None if automatic or first is None else path.reweighted(first)
@@ -285,9 +287,16 @@ def is_sound(path: FreePath, model: FreeModel, lags: int = 0) -> bool:
     return not _patching(model.projection, path.search.crowding) and not too_broad and not grows(path, model)
 
 
-def cleaned(path: FreePath, model: FreeModel, lags: int = 0) -> FreeModel:
-    """Drop the modes of a model that are none of the plant."""
+def _is_step(path: FreePath, model: FreeModel, more: FreeModel) -> bool:
+    """Whether there are more poles, which explain more: where modes of the plant have gone, others explain less."""
+    return len(more.p) > len(model.p) and path.loglik(more.losses) > path.loglik(model.losses)
+
+
+def cleaned(path: FreePath, model: FreeModel, lags: int = 0, before: FreeModel | None = None) -> FreeModel:
+    """Drop the modes of a model that are none of the plant, as long as it is a step from the one `before`."""
     while len(model.p) and not is_sound(path, model, lags):
+        if not (before is None or _is_step(path, before, model)):
+            break
         projection = model.projection
         # what several channels see of a pair changes as others go
         alone = len(path.counts) * max(1, projection.inputs) == 1
