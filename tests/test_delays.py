@@ -407,7 +407,7 @@ def test_outputs_may_be_sampled_less_often_than_inputs():
     np.testing.assert_allclose(result.delay, 23.85, atol=3.0)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [1, *slowly(0)])
 def test_what_is_fed_through_may_come_late(seed):
     # half of the output follows the input at once, as later as the lag does: no part of a sample says as much
     rng = np.random.default_rng(seed)

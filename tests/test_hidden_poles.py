@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from slow import slowly
 
 import ph_control as phc
 
@@ -50,7 +51,7 @@ def counts(result):
     return result.order, len(result.real_poles)
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [0, *slowly(2)])
 def test_two_lags_that_one_explains_well_are_found_in_a_loop(seed):
     # what is left of one lag is white, and a second beside it as it is explains nothing of it
     u, y = in_a_loop([-1.4, -3.8], [1.0, 1.2], (0.4, 0.3), seed, 800, 0.15)
@@ -62,14 +63,14 @@ def test_two_lags_that_one_explains_well_are_found_in_a_loop(seed):
     )
 
 
-@pytest.mark.parametrize("seed", [6, 8])
+@pytest.mark.parametrize("seed", [6, *slowly(8)])
 def test_a_slow_lag_is_found_in_records_too_long_to_be_searched_in_time(seed):
     # half of the evidence was lost with the bins that were left out about the fast lag
     u, y = in_a_loop([-0.17, -2.2], [-0.62, 1.7], (2.5, 1.5), seed, 1600, 0.09, at_input=True)
     assert counts(phc.pem((u, y), dt=STEP)) == (0, 2)
 
 
-@pytest.mark.parametrize("seed", [0, 4])
+@pytest.mark.parametrize("seed", [0, *slowly(4)])
 def test_two_close_modes_in_coloured_noise_are_no_unmeasured_force(seed):
     # less than a bin apart: to first order a second one only moves the first
     poles = [mode(0.94, 0.015), mode(1.05, 0.028), -0.39, -2.5]
@@ -79,13 +80,13 @@ def test_two_close_modes_in_coloured_noise_are_no_unmeasured_force(seed):
     assert np.all(np.abs(result.natural_frequencies - [0.94, 1.05]) < 4 * result.stderr["natural_frequencies"])
 
 
-@pytest.mark.parametrize("seed", [3, 7])
+@pytest.mark.parametrize("seed", [3, *slowly(7)])
 def test_noise_of_a_model_that_was_too_small_does_not_stay(seed):
     u, y = in_a_loop([mode(0.93, 0.0107), mode(1.58, 0.01), -7.25], [0.3, 0.2, 1.0], (0.5, 0.0), seed, 620, 0.04, 0.5)
     assert counts(phc.pem((u, y), dt=STEP)) == (2, 1)
 
 
-@pytest.mark.parametrize("seed", [2, 4])
+@pytest.mark.parametrize("seed", [2, *slowly(4)])
 def test_a_wide_peak_that_noise_hides_is_found(seed):
     rng = np.random.default_rng(seed)
     u, gains = rng.standard_normal((1, 12000)), np.array([[[1.0], [0.5]], [[0.07], [-0.07]]])
@@ -106,7 +107,7 @@ def test_a_lag_too_many_is_no_drift_of_slow_noise():
     assert counts(given) == (2, 2) and given.poles.real.max() < 0.01
 
 
-@pytest.mark.parametrize("seed", [2, 5])
+@pytest.mark.parametrize("seed", [2, *slowly(5)])
 def test_close_modes_that_decay_are_no_motion_that_forces_keep_up(seed):
     rng, t = np.random.default_rng(seed), np.arange(900)
     poles = np.array(

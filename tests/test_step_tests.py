@@ -3,6 +3,7 @@
 import control as ct
 import numpy as np
 import pytest
+from slow import slowly
 
 import ph_control as phc
 
@@ -196,7 +197,7 @@ def test_an_integrator_that_runs_from_the_beginning_is_not_in_balance():
     np.testing.assert_allclose(result.residues.real.ravel()[0], 0.04, rtol=0.03)
 
 
-@pytest.mark.parametrize(("delay", "seed"), [(4.0, 0), (6.0, 4)])
+@pytest.mark.parametrize(("delay", "seed"), [(4.0, 0), *slowly((6.0, 4))])
 def test_lags_that_fall_together_hide_no_constant(delay, seed):
     # those that stand for a dead time that is not looked for leave no errors of the constant to judge by
     u = np.select([np.arange(300) < 20, np.arange(300) < 200], [5.0, 7.0], 6.3)
