@@ -407,14 +407,14 @@ def test_outputs_may_be_sampled_less_often_than_inputs():
     np.testing.assert_allclose(result.delay, 23.85, atol=3.0)
 
 
-@pytest.mark.parametrize("seed", [1, *slowly(0)])
-def test_what_is_fed_through_may_come_late(seed):
+@pytest.mark.parametrize(("seed", "structure"), [(1, "free"), *slowly((0, "auto"))])
+def test_what_is_fed_through_may_come_late(seed, structure):
     # half of the output follows the input at once, as later as the lag does: no part of a sample says as much
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.choice([-1.0, 1.0], 41), 20)[:800]
     y = 0.5 * np.concatenate([np.zeros(8), u[:-8]]) + 0.5 * lagging(u, 20, 8)
     y += 0.01 * y.std() * rng.standard_normal(800)
-    result = phc.pem((u, y), dt=1.0, quantity="free")
+    result = phc.pem((u, y), dt=1.0, quantity="free", structure=structure)
     assert (result.order, len(result.real_poles), result.delay[0]) == (0, 1, 8.0)
     np.testing.assert_allclose(result.system.D, 0.5, rtol=0.02)
     np.testing.assert_allclose(result.time_constants, 20.0, rtol=0.02)

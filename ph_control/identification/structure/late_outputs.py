@@ -71,12 +71,12 @@ def _with_own_delays(late: Choice, request: Request, with_delay: WithDelay | Non
     if chosen is not None:
         return chosen
     fed = late.free.projection.fed
-    fed_through = request.structure == "auto" and fed is not None and np.any(fed & ~_felt(late.free, request))
+    fed_through = fed is not None and bool(np.any(fed & ~_felt(late.free, request)))
     if late.fit.structure == "free":
         own = _refined_either(late, request)
     else:
         own = _refined(late, late.fit.hypothesis, request) if stands else late
-        if fed_through:
+        if fed_through and request.structure == "auto":
             own = _simpler(own, _refined(_freely(late, request), "free", request))
     return late if fed_through and late.gain(own) > TUNING.sure else own
 
