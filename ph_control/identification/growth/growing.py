@@ -174,34 +174,38 @@ def joined(path: FreePath, model: FreeModel, most: int, automatic: bool) -> Free
 
 def _with_modes(path: FreePath, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
     """Let a mode join, or several, that do not only mend the shape of others; of a given order also what does."""
+    first: FreeModel | None = None
+    lags = int(np.sum(are_broad(model.p)))
+    for joining in _joining(path, model, most, automatic):
+        trial = path.model(np.append(model.p, joining))
+        first = first or trial
+        if automatic and len(joining) > 1 and path.cost(trial) > path.cost(model):
+            continue  # alone the strongest may be of more use
+        sound = cleaned(path, trial, lags, model) if automatic else trial
+        if _is_step(path, model, sound) and is_sound(path, sound, lags):
+            return path.reweighted(sound)
+    return None if automatic or first is None else path.reweighted(first)
+
+
+def _joining(path: FreePath, model: FreeModel, most: int, automatic: bool) -> list[ComplexArray]:
+    """Return which poles may join a model, several together before each alone."""
     p, gains = candidates(path, model)
     if not (automatic or gains.any()):
         p, gains = candidates(path, model, every=True)
     if not len(p) or (automatic and not gains.any()):
-        return None
-    band = path.search.region.bin
-    whole = _together(model.projection, p, gains, band, most - count_modes(model.p))
+        return []
+    together = _together(model.projection, p, gains, path.search.region.bin, most - count_modes(model.p))
     modal = (gains > 0) & (np.nan_to_num(np.abs(p.real)) <= TUNING.broadest * np.abs(p.imag))
     alone = automatic and len(path.counts) * max(1, model.projection.inputs) == 1
     if alone:
         needed = path.search.crowding + np.abs(model.projection.sigma)
         modal &= np.all(np.abs(p.imag[:, None] - model.p.imag) > needed, axis=1)
     sure = p[modal]
-    # beside modes of one channel that are still wrong, others that stand out may be no more than their shadows
-    trials = [whole[np.isin(whole, sure if p[0] in sure or not alone else [])] if automatic else whole]
-    trials += [sure[k : k + 1] for k in range(min(TUNING.tried, len(sure)))]
-    first: FreeModel | None = None
-    for joining in trials:
-        if len(joining):
-            trial = path.model(np.append(model.p, joining))
-            lags = int(np.sum(are_broad(model.p)))
-            if automatic and len(joining) > 1 and path.cost(trial) > path.cost(model):
-                continue  # alone the strongest may be of more use
-            sound = cleaned(path, trial, lags, model) if automatic else trial
-            if _is_step(path, model, sound) and is_sound(path, sound, lags):
-                return path.reweighted(sound)
-            first = first or trial
-    return None if automatic or first is None else path.reweighted(first)
+    if automatic:
+        # beside modes of one channel that are still wrong, others that stand out may be no more than their shadows
+        together = together[np.isin(together, sure if p[0] in sure or not alone else [])]
+    trials = [together, *(sure[k : k + 1] for k in range(min(TUNING.tried, len(sure))))]
+    return [joining for joining in trials if len(joining)]
 
 
 def _with_lag(path: FreePath, model: FreeModel, most: int) -> FreeModel | None:
