@@ -203,7 +203,7 @@ def _beside_motion(
         return still
     free = moving()
     if not (free.interrupted or free.rounding) and _gain(other, free) > 0:
-        free = _with_table_of(free, other)
+        free = _as_searched(other, free, assumptions)
     return Searched(channels, free, True)
 
 
@@ -217,10 +217,11 @@ def _surely_in_motion(
     where neither is so; what it cut if interrupted.
     """
     rough = free_fit(resting, 1, moving=False, **of_mode)
-    p = rough.projection.p
-    if rough.interrupted or not len(p):
-        return Searched(resting, rough, False) if rough.interrupted else None
-    begun = free_refinement(channels, rough, p, moving=True, **of_mode)
+    if rough.interrupted:
+        return Searched(resting, rough, False)
+    if not len(rough.projection.p):
+        return None
+    begun = free_refinement(channels, rough, rough.projection.p, moving=True, **of_mode)
     if begun.interrupted:
         return Searched(resting, rough, False).cut
     if _gain(begun, rough) <= max(2 * TUNING.likely, _CLEAR * rough.projection.rows):
@@ -234,13 +235,14 @@ def _surely_in_motion(
         return Searched(channels, free, True).cut
     gain = _gain(free, other)
     if gain <= 0 and free.leaves_white_noise and other.leaves_white_noise:
-        return Searched(resting, _with_table_of(free, other), False)
+        return Searched(resting, _as_searched(other, free, assumptions), False)
     return Searched(channels, free, True) if gain > 2 * TUNING.likely else None
 
 
-def _with_table_of(searched: FreeFit, refined: FreeFit) -> FreeFit:
-    """A fit that was refined, with the order table of a search, and the finding of constants."""
-    return replace(with_constants(refined), order_table=searched.order_table)
+def _as_searched(refined: FreeFit, searched: FreeFit, assumptions: dict[str, Any]) -> FreeFit:
+    """A fit that was refined, with the order table of a search, and the finding of constants that data chose."""
+    stated = with_constants(refined) if assumptions["offset"] == "auto" else refined
+    return replace(stated, order_table=searched.order_table)
 
 
 def _gain(fit: FreeFit, other: FreeFit) -> float:

@@ -129,13 +129,11 @@ def _without_what_is_needless(
     if projection.has_feedthrough and not path.felt.all():
         fed = path.felt | fed_through(path, projection)
     constants = constant_open and evidence_of_constants(projection) >= _least_of_constants(path, projection)
-    if constant_open and (not constants or np.any(np.abs(projection.p) < path.scaled.region.bin)):
-        slowness = 1.0 if constants else max(itertools.chain(*_slowness(projection)))
-        without = _without_constants(path, projection, losses, fed, rtol, slowness)
-        if without is not None:
-            return *without, fed
     if fed is not None and not fed.all():
         projection, losses = settled(path, projection.p, fed, rtol, projection)
+    if constant_open and (not constants or np.any(np.abs(projection.p) < path.scaled.region.bin)):
+        slowness = 1.0 if constants else max(itertools.chain(*_slowness(projection)))
+        projection, losses = _without_constants(path, projection, losses, fed, rtol, slowness)
     return projection, losses, fed
 
 
@@ -147,8 +145,8 @@ def _least_of_constants(path: FreePath, projection: FreeProjection) -> float:
 
 def _without_constants(
     path: FreePath, projection: FreeProjection, losses: Array, fed: Mask | None, rtol: float | None, slowness: float
-) -> tuple[FreeProjection, Array] | None:
-    """Find the minimum without constants of the outputs; None where these explain more than noise of such a slowness.
+) -> tuple[FreeProjection, Array]:
+    """Find the minimum without constants of the outputs, unless these explain more than noise of such a slowness.
 
     Beside an integrator, or what is nearly one, a constant is the same as its initial state, and of poles that are
     nearly the same no errors can be told: what it explains is seen without it.
@@ -161,7 +159,7 @@ def _without_constants(
         return level, level_losses
     path.plain, path.search = kept
     path.weigh(losses)
-    return None
+    return projection, losses
 
 
 def settled(
