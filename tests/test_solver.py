@@ -2,13 +2,16 @@
 
 from types import SimpleNamespace
 
+import mpmath as mp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.optimize import lsq_linear
+from scipy.signal import lfilter
 
 import ph_control as phc
 from ph_control.identification.regression.free import FreeProblem, FreeProjection, refine_free
-from ph_control.identification.regression.sections import PoleRegion
+from ph_control.identification.regression.sections import PoleRegion, Sections
 from ph_control.identification.regression.time_rows import FreeRecord
 from ph_control.identification.regression.variable_projection import refine
 from ph_control.identification.search.free_search import Records
@@ -138,3 +141,68 @@ def test_strongest_mode_is_found_within_a_bin(method, h, d, samples):
     search = Records([record])
     poles, _ = search.candidates(SimpleNamespace(residuals=[spectrum.Y for spectrum in search.spectra]))
     assert abs(poles[0].imag - d) <= record.bin
+
+
+POLE_PAIRS = [
+    [-0.02 + 1.1j], [-1.0, -1e-9], [-3.0, 1e-7], [-2.0 + 1e-3j], [-2.0, -2.0 - 1e-3], [0.3, -1e-5, -50.0],
+    [-1e4, 0.0, -0.2 + 3j],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("poles", POLE_PAIRS)
+def test_poles_come_back_from_the_coordinates_of_their_sections(poles):
+    """Slow poles beside fast ones keep their digits: from their product, not from a difference."""
+    p = np.array(poles, complex)
+    again = np.sort_complex(Sections.from_coordinates(Sections.of(p).x).p)
+    assert np.all(np.abs(again - np.sort_complex(p)) <= 1e-7 * np.abs(np.sort_complex(p)))
+
+
+@pytest.mark.parametrize("poles", POLE_PAIRS)
+def test_poles_move_with_the_coordinates_as_their_derivatives_say(poles):
+    """Against differences of poles from the roots of the polynomials of the sections in many digits."""
+    sections = Sections.of(np.array(poles, complex))
+    slopes, x = sections.pole_slopes, sections.x
+    for k in range(len(x)):
+        with mp.workdps(60):
+            ends = []
+            for sign in (-1, 1):
+                moved = [mp.mpf(float(value)) for value in x]
+                moved[k] += sign * mp.mpf(10) ** -25
+                ends.append(exact_poles(moved, sections))
+            change = [(after - before) / (2 * mp.mpf(10) ** -25) for before, after in zip(*ends, strict=True)]
+        n = len(change)
+        assert_allclose(slopes[:n, k], [float(each.imag) for each in change], rtol=1e-6, atol=1e-9)
+        assert_allclose(slopes[n:, k], [float(each.real) for each in change], rtol=1e-6, atol=1e-9)
+
+
+def exact_poles(x, sections):
+    """Poles of sections with coordinates in many digits, at their places."""
+    count = len(sections.decay)
+    poles = [mp.mpc(0)] * len(sections.p)
+    for k, (slow, fast) in enumerate(sections.places.tolist()):
+        decay, product = x[k], x[count + k]
+        root = mp.sqrt(mp.mpc(decay**2 - product))
+        poles[slow], poles[fast] = -decay + root, -decay - root
+        if slow == fast:
+            poles[slow] = mp.mpc(-decay, abs(root.imag))
+    for place, rate in zip(sections.single.tolist(), x[2 * count :], strict=True):
+        poles[place] = mp.mpc(-rate)
+    return poles
+
+
+def test_a_search_for_a_fast_pole_beside_an_integrator_ends_soon():
+    """Data that show an integrator to many digits leave a straight valley for the lag beside it."""
+    rng, h, samples = np.random.default_rng(3), 0.1, 2000
+    u = np.repeat(rng.choice([-1.0, 1.0], samples // 40), 40)
+    x, y = 0.0, np.zeros(samples)
+    for k in range(1, samples):
+        x += h * u[k - 1]
+        y[k] = x
+    lag = lfilter([0.0, 1 - np.exp(-0.3 * h)], [1.0, -np.exp(-0.3 * h)], u)
+    y += 0.2 * lag + 0.3 * rng.standard_normal(samples)
+    record = FreeRecord(u[None], y[None], np.ones(samples, bool), Hold(h), False, through=False)
+    end = refine(
+        FreeProblem([record], region_of(record)), Sections.of(np.array([-1e-6, -2.0])).x, rtol=1e-8, last=False
+    )
+    assert end.converged
+    assert end.iterations < 20

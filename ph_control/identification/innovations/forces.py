@@ -290,9 +290,9 @@ def _damped(foretold: _Predictors, start: Start) -> Start:
 
 def _decaying(sections: Sections, least: float) -> Sections:
     """Sections none of which decays more slowly than at a rate."""
-    x, k = sections.x.copy(), len(sections.decay)
-    x[:k], x[2 * k :] = np.maximum(x[:k], least), np.maximum(x[2 * k :], least)
-    return Sections.from_coordinates(x)
+    decay = np.maximum(sections.decay, least)
+    rates = np.maximum(sections.rates, least)
+    return Sections.from_coordinates(np.concatenate([decay, decay**2 + sections.square, rates]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -196,7 +196,7 @@ class Problem:
             return sections
         least = (_APART * np.maximum(np.abs(sections.decay), np.sqrt(np.abs(before.square)))) ** 2
         square = np.where(before.square > 0, np.maximum(sections.square, least), np.minimum(sections.square, -least))
-        return before.moved(np.concatenate([sections.decay, square, sections.rates]))
+        return before.moved(np.concatenate([sections.decay, sections.decay**2 + square, sections.rates]))
 
     def vector(self, point: InnovationsModel) -> Array:
         """Numbers that move."""

@@ -129,7 +129,9 @@ class NoiseSections:
         growth, w, q = np.exp(-self.sections.decay * self.step), self.references, self.sections.square
         by_square = self._in_blocks(cosine_by, sine_by, q)
         by_square[:, 1, 0] -= growth * sine / w
-        each = [(2 * k, -self.step * block) for k, block in enumerate(self.blocks)]
+        decay = self.sections.decay[:, None, None]  # that of a product moves the square as well
+        by_decay = -self.step * self.blocks - 2 * decay * by_square
+        each = [(2 * k, block) for k, block in enumerate(by_decay)]
         each += [(2 * k, block) for k, block in enumerate(by_square)]
         single = -self.step * np.exp(-self.rates * self.step)
         return each + [(2 * self.pairs + k, np.array([[slope]])) for k, slope in enumerate(single)]

@@ -297,10 +297,10 @@ class ConstrainedProblem:
         bounded = self.region.inside(coordinates.sections_at(x).x.copy())
         if self.tangent is not None or not (coordinates.damped and coordinates.real):
             k = len(coordinates.sections.decay)
-            least = self.region.least(bounded[:k])
-            square, sign = bounded[k : 2 * k], np.where(coordinates.sections.square > 0, 1.0, -1.0)
-            sign = sign if coordinates.damped else np.ones(k)
-            bounded[k : 2 * k] = sign * np.maximum(sign * square, least)
+            decay, product = bounded[:k], bounded[k : 2 * k]
+            sign = np.where(coordinates.sections.square > 0, 1.0, -1.0) if coordinates.damped else np.ones(k)
+            ends = decay**2 + sign * self.region.least(decay)
+            bounded[k : 2 * k] = np.where(sign > 0, np.maximum(product, ends), np.minimum(product, ends))
         return np.concatenate([bounded[coordinates.pole_coordinates], x[len(coordinates.pole_coordinates) :], delays])
 
     def reach(self, projection: ConstrainedProjection) -> Array:

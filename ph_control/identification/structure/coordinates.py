@@ -213,24 +213,28 @@ class StructureCoordinates:
 
     def _factor(self, sections: Sections) -> ComplexArray:
         """`g`, shape (n, p, 1); of real poles half, as they are their own conjugates."""
-        p, differences = _nonzero(sections.p), np.empty(len(sections.p), complex)
+        differences = np.full(len(sections.p), 2.0 + 0j)
         slow, fast = sections.places.T
         differences[fast] = np.where(sections.square > 0, 2j, -4.0) * sections.root
         real = sections.square <= 0
         differences[slow[real]] = 4.0 * sections.root[real]
-        differences[sections.single] = 2.0 * p[sections.single]
-        return (p[:, None] ** self.layout.powers / differences[:, None])[:, :, None]
+        return (_nonzero(sections.p)[:, None] ** self._powers(sections) / differences[:, None])[:, :, None]
+
+    def _powers(self, sections: Sections) -> Indices:
+        """Powers (n, p) of the poles in `g`: that of a section of first order is by one less."""
+        powers = np.tile(self.layout.powers, (len(sections.p), 1))
+        powers[sections.single] -= 1
+        return powers
 
     def _factor_slopes(self, sections: Sections) -> ComplexArray:
         """Derivatives of the logarithm of `g` by the coordinates of the poles, shape (n, p, coordinates)."""
         p, k, n = sections.p, len(sections.decay), len(sections.p)
         pole_slopes = sections.pole_slopes[n:] + 1j * sections.pole_slopes[:n]
-        slopes = self.layout.powers[None, :, None] * (pole_slopes / _nonzero(p)[:, None])[:, None]
-        for column in (0, 1):
-            slopes[sections.places[:, column], :, k + np.arange(k)] -= (
-                0.5 / sections.square / np.where(sections.square > 0, 2.0, 1.0)
-            )[:, None]  # a complex pole stands at both places
-        slopes[sections.single] -= (pole_slopes / _nonzero(p)[:, None])[sections.single][:, None]
+        slopes = self._powers(sections)[:, :, None] * (pole_slopes / _nonzero(p)[:, None])[:, None]
+        by_square = (0.5 / sections.square / np.where(sections.square > 0, 2.0, 1.0))[:, None]
+        for column in (0, 1):  # a complex pole stands at both places
+            slopes[sections.places[:, column], :, k + np.arange(k)] -= by_square
+            slopes[sections.places[:, column], :, np.arange(k)] += 2 * sections.decay[:, None] * by_square
         return slopes[:, :, self.pole_coordinates]
 
     def derivatives(self, x: Array, output: int, has_feedthrough: bool) -> Array:
@@ -313,6 +317,10 @@ class MatrixCoordinates(StructureCoordinates):
             + self._reals_per_value * len(np.unique(self._classes[self.shown_entries]))
             + int(self.fed_entries.sum())
         )
+
+    def _powers(self, sections: Sections) -> Indices:
+        """Powers without those that all residues have: values of any phase are any, and so finite at a pole of 0."""
+        return np.asarray(self.layout.powers - self.layout.powers.min() + np.zeros((len(sections.p), 1), int))
 
     def nearest_values(self, scaled: ComplexArray) -> RealOrComplex:
         """Means over the entries of each value."""
