@@ -5,7 +5,7 @@ The result holds the numbers of the structure, and the judgement of these.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from typing import Any
@@ -25,7 +25,7 @@ from ..estimates.estimates import Estimates
 from ..innovations.forces import KINDS, MOST_MISSING, beside_forces
 from ..moves.assumptions import alone
 from ..moves.drifts import with_constants
-from ..moves.free_fit import free_fit, free_refinement
+from ..moves.free_fit import free_fit, free_refinement, late_fit
 from ..parameters.fitted_parameters import FittedParameters
 from ..regression.free import FreeProjection, Lateness, refine_free
 from ..regression.time_rows import FreeRecord
@@ -182,11 +182,11 @@ def _beside_motion(
         free = free_fit(channels, order, start=start, moving=options.moving, **assumptions)
         return Searched(channels, free, options.moving)
     moving = cache(partial(free_fit, channels, order, start=start, moving=True, **assumptions))
-    sure = None if options.is_plain else _surely_in_motion(channels, resting, moving, assumptions, of_mode)
+    sure = None if options.is_plain else _surely_in_motion(channels, order, resting, moving, assumptions, of_mode)
     if sure is not None:
         return sure
     still = Searched(resting, free_fit(resting, order, start=start, moving=False, **assumptions), False)
-    p, pushed = still.free.projection.p, any(np.any(data.steady) for data in resting)
+    p, pushed = still.free.projection.p, _is_pushed(resting)
     if still.free.interrupted or not (len(p) or pushed):
         return still
     # beside a constant what an input holds looks like a motion of the right size
@@ -208,24 +208,27 @@ def _beside_motion(
 
 
 def _surely_in_motion(
-    channels: Channels, resting: Channels, moving: Callable[[], FreeFit], assumptions: dict[str, Any],
-    of_mode: dict[str, Any],
+    channels: Channels, order: int | str, resting: tuple[Recording, ...], moving: Callable[[], FreeFit],
+    assumptions: dict[str, Any], of_mode: dict[str, Any],
 ) -> Searched | None:  # fmt: skip
     """The fit in motion where that of one mode is far likelier: a search for what stands for a motion takes long.
 
+    Or where a late lag explains all beside inputs that lasted: no integrator is held by these.
     That at rest where it is likelier from the same poles, and no more is to be found: both leave white noise.  None
     where neither is so; what it cut if interrupted.
     """
-    rough = free_fit(resting, 1, moving=False, **of_mode)
-    if rough.interrupted:
-        return Searched(resting, rough, False)
-    if not len(rough.projection.p):
-        return None
-    begun = free_refinement(channels, rough, rough.projection.p, moving=True, **of_mode)
+    begun = late_fit(channels, order, moving=True, **assumptions) if _is_pushed(resting) else None
+    if begun is None:
+        rough = free_fit(resting, 1, moving=False, **of_mode)
+        if rough.interrupted:
+            return Searched(resting, rough, False)
+        if not len(rough.projection.p):
+            return None
+        begun = free_refinement(channels, rough, rough.projection.p, moving=True, **of_mode)
+        if not begun.interrupted and _gain(begun, rough) <= max(2 * TUNING.likely, _CLEAR * rough.projection.rows):
+            return None
     if begun.interrupted:
-        return Searched(resting, rough, False).cut
-    if _gain(begun, rough) <= max(2 * TUNING.likely, _CLEAR * rough.projection.rows):
-        return None
+        return Searched(channels, begun, True)
     free = moving()
     p = free.projection.p
     if free.interrupted or not len(p):
@@ -237,6 +240,11 @@ def _surely_in_motion(
     if gain <= 0 and free.leaves_white_noise and other.leaves_white_noise:
         return Searched(resting, _as_searched(other, free, assumptions), False)
     return Searched(channels, free, True) if gain > 2 * TUNING.likely else None
+
+
+def _is_pushed(resting: Sequence[Recording]) -> bool:
+    """Whether inputs held the plant before recordings that begin at rest."""
+    return any(np.any(data.steady) for data in resting)
 
 
 def _as_searched(refined: FreeFit, searched: FreeFit, assumptions: dict[str, Any]) -> FreeFit:

@@ -264,7 +264,7 @@ def _bic_of(rows: Sequence[FreeRecord], projection: FreeProjection, unknowns: in
 
 def are_heavy(p: ComplexArray) -> Mask:
     """Return which poles are lags or heavily damped modes, which may stand for a delay."""
-    return -p.real > _MIMICS * np.abs(p)
+    return np.asarray(np.abs(p.real) >= _MIMICS * np.abs(p))
 
 
 def _responds(fit: FreeFit) -> bool:
@@ -386,11 +386,12 @@ class _DelayScan:
         moving = any(rows.moving for rows in fit.projection.experiments)
         records = Records(rows_as_in(fit, some, moving, _undelayed(fit)))
         rows = (records.whitened(fit.noise) if fit.noise else records).scaled(1.0 / fit.scales).data
-        lags = np.sort(p[(p.imag == 0) & (p.real < 0)])[::-1]  # the slowest first
+        lags = p[p.imag == 0].real
+        lags = lags[np.argsort(np.abs(lags))]  # the slowest first
         fewer = len(lags) + 2 * int(np.sum(p[heavy].imag > 0)) - 1  # than there are
         beside = [np.concatenate([p[~heavy], lags[:count]]) for count in range(max(min(len(lags), fewer), 0) + 1)]
         beside += [] if heavy.all() else [p[:0]]
-        rates = np.array([*np.geomspace(4.0 / shortest, 0.5, _LAGS) / channels[0].dt, *-lags.real])
+        rates = np.array([*np.geomspace(4.0 / shortest, 0.5, _LAGS) / channels[0].dt, *np.abs(lags[lags != 0])])
         return cls(rows, len(fit.scales), p, beside, rates, _samples_late(fit), shortest // 10)
 
     @property
@@ -547,13 +548,14 @@ class _LateLagScan:
 
     def likeliest(self) -> tuple[int, float] | None:
         """Return the samples of the delay that a lag or two show, and the log-likelihood gained; None if none do."""
-        slowest, lags = 0.4 / self.most, np.geomspace(0.4 / self.most, 0.5, _RATES)
+        slowest = 0.4 / self.most
+        lags = np.append(0.0, np.geomspace(slowest, 0.5, _RATES))  # an integrator first
         still = self._on_time(lags[:0])
-        rough = self._likeliest_of([lags[k : k + 1] for k in range(1, _RATES, _EACH)])
+        rough = self._likeliest_of([lags[k : k + 1] for k in range(0, len(lags), _EACH)])
         if np.mean(rough.losses / still) > _ROUGHLY:
             return None
-        near = np.flatnonzero(np.abs(np.log(lags / rough.rates)) < _EACH * np.log(lags[1] / lags[0]) - EPS)
-        likeliest = self._likeliest_of([lags[k : k + 1] for k in near.tolist()])
+        about = int(np.searchsorted(lags, rough.rates[0]))
+        likeliest = self._likeliest_of([lags[k : k + 1] for k in range(len(lags)) if abs(k - about) < _EACH])
         if not likeliest.samples or np.mean(likeliest.losses / still) > _MOSTLY:
             return None
         # a lag of second order looks like one of first order that comes later
@@ -561,6 +563,7 @@ class _LateLagScan:
         likeliest = min(likeliest, double, key=lambda late: late.cost)
         pairs = np.geomspace(slowest, 0.25, _PAIRS)[:, None] * [1.0, 2.0]
         several = [*pairs, *(np.geomspace(slowest, 0.5, count) for count in (3, 4, 6))]
+        several += [np.append(0.0, pair[:1]) for pair in pairs]
         gain = 0.5 * min(float(self._counts @ np.log(self._on_time(rates) / likeliest.losses)) for rates in several)
         least = max(TUNING.likely, -0.5 * float(np.log(_CLEARLY)) * self._counts.sum())
         return (likeliest.samples, gain) if likeliest.samples and gain > least else None

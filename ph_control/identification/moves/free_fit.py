@@ -125,6 +125,12 @@ def free_refinement(channels: Experiments, like: FreeFit, p: ComplexArray, **ass
     return fit if like.beside is None else given.beside(fit, orders=Orders(), like=like)
 
 
+def late_fit(channels: Experiments, order: int | str = "auto", **assumptions: Any) -> FreeFit | None:
+    """Fit the dead times of inputs, or of a lag, where records begin to show them; None where they do not."""
+    search, _ = _prepared(channels, order, Assumptions(**assumptions), None)
+    return _late(channels, search)
+
+
 def _fitted(channels: Experiments, order: int | str, assumptions: Assumptions, start: ComplexArray | None) -> FreeFit:
     """Fit modes the way that the data and the order ask for: by parts, twice, without some lines, or directly."""
     if is_long(channels):
