@@ -13,6 +13,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from ..._display import counted, p_value
 from ..._types import Array, NDArray, RealOrComplex
@@ -47,6 +48,7 @@ DOUBTS = {
 
 # poles in words
 _CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
+_AT_ZERO = 0.01  # p-value from which on poles may be 0
 
 # residuals
 _COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
@@ -87,7 +89,7 @@ class Evidence:
         findings = [
             *(_in_model(finding, estimates.experiments) for finding in findings), *_lateness(estimates),
             *rejections(estimates.tests), *_reversed(estimates), *saturated(estimates.experiments, free.findings),
-            *not_linear(free),
+            *not_linear(free), *_integrators(estimates),
         ]  # fmt: skip
         findings += _same_columns(free.channels)
         if estimates.fit_percent < GOOD_FIT:
@@ -223,7 +225,7 @@ def message_of(evidence: Evidence) -> str:
     kept = [f"{test.hypothesis} ({p_value(test.p)})" for test in estimates.tests if test.p >= LEVEL and test.dof]
     if kept:
         parts.append(f"Not rejected: {', '.join(kept)}.")
-    parts += _about_poles(estimates)
+    parts += _about_poles(evidence)
     if shapes.shapes.shape[1] > 1:
         parts.append(
             "Mode shapes are those of unit modal mass."
@@ -259,19 +261,58 @@ def doubt_about(findings: Sequence[Finding]) -> str:
     return f"Doubtful, as {(reasons or ['the data reject the structure that was given'])[0]}."
 
 
-def _about_poles(estimates: Estimates) -> list[str]:
-    """Say which poles grow, and which modes are slower than the longest record."""
-    poles, sentences = estimates.poles, list[str]()
+def _integrators(estimates: Estimates) -> list[Finding]:
+    """Two poles, or one, which are 0 within errors that move them by less than what the longest record shows.
+
+    Of two, sum and product are tested: these have errors also where the poles meet.
+    """
+    fit, n, slowest = estimates.fit, len(estimates.poles), TUNING.slowest_growth * estimates.free.region.bin
+    if not n or estimates.free.interrupted:
+        return []
+    p = fit.p
+    first, second = (*np.argsort(np.abs(p)).tolist(), 0)[:2]
+    slopes = np.zeros((2, 2 * n))  # of sum and product by imaginary and real parts
+    if p[first].imag:
+        values = np.array([2 * p[first].real, np.abs(p[first]) ** 2])
+        slopes[:, n + first], slopes[1, first] = (2.0, 2 * p[first].real), 2 * p[first].imag
+    else:
+        values = np.array([p[first].real + p[second].real, p[first].real * p[second].real])
+        slopes[:, n + first], slopes[:, n + second] = (1.0, p[second].real), (1.0, p[first].real)
+    covariance, findings = fit.covariance[: 2 * n, : 2 * n], list[Finding]()
+    if p[first].imag or (n > 1 and not p[second].imag):
+        chance = _chance_of_zero(values, slopes @ covariance @ slopes.T, np.array([2 * slowest, 4 * slowest**2]))
+        findings += [Finding(Cause.INTEGRATOR, (2.0, chance), 0.0)] * (chance > _AT_ZERO)
+    if not (findings or p[first].imag):
+        variance = covariance[n + first, n + first].reshape(1, 1)
+        chance = _chance_of_zero(p.real[[first]], variance, np.array([slowest]))
+        findings += [Finding(Cause.INTEGRATOR, (1.0, chance), 0.0)] * (chance > _AT_ZERO)
+    return findings
+
+
+def _chance_of_zero(values: Array, covariance: Array, most: Array) -> float:
+    """The p-value of numbers that are all 0; 0 where some may be larger than `most`."""
+    values, covariance = values / most, covariance / np.outer(most, most)
+    if not np.all(np.abs(values) + 2 * np.sqrt(np.diag(covariance)) <= 1):
+        return 0.0
+    return float(chi2.sf(values @ np.linalg.pinv(covariance, hermitian=True) @ values, len(values)))
+
+
+def _about_poles(evidence: Evidence) -> list[str]:
+    """Say which poles grow, and which modes are slower than the longest record; not of those that may be 0."""
+    estimates, sentences = evidence.estimates, list[str]()
+    poles = estimates.poles
     modes = int(np.sum(poles.imag != 0))
     spread = np.sqrt(np.maximum(np.diag(estimates.covariance), 0.0))
     errors = np.append(spread[len(poles) :][:modes] * np.abs(poles[:modes]), spread[modes : len(poles)])
     growing = np.flatnonzero(poles.real > _CERTAIN * errors)
+    if evidence.shows(Cause.INTEGRATOR):
+        growing = growing[np.abs(poles[growing]) > 2 * TUNING.slowest_growth * estimates.free.region.bin]
     if len(growing):
         grow = "grows" if len(growing) == 1 else "grow"
         sentences.append(f"{counted(len(growing), 'pole')} {grow}: {', '.join(map(str, growing + 1))}.")
     lengths = (channel.dt * channel.samples for channel in estimates.free.channels if isinstance(channel, Recording))
     slow = np.flatnonzero(np.abs(poles[:modes]) * max(lengths, default=np.inf) < 2 * np.pi * (1 - 1e-6))
-    if len(slow):
+    if len(slow) and not evidence.shows(Cause.INTEGRATOR):
         sentences.append(slower_than_record(slow.tolist()))
     return sentences
 

@@ -63,6 +63,7 @@ class Cause(Enum):
     CONTACT_NOISE = "noise of a hammer's force within its contacts"
     LARGEST_ORDER = "as many modes as the search may find"
     FEWER_MODES = "fewer modes than the order that was given"
+    INTEGRATOR = "poles that the data do not tell from 0"
     WRONG_MODEL = "responses that no parameters of the model function give"
     PARAMETER_BOUND = "a parameter that ends at a bound"
     UNIDENTIFIED = "a combination of parameters that leaves no trace"
@@ -101,7 +102,8 @@ class Finding:
         of a mode that changes its natural frequency in the first halves and in the second, and its damping ratios
         there; of a multiple its frequency, and
         those that it is the sum of; of wild lines their frequencies, rad per unit time; of the largest order that
-        order; of fewer modes the order that was given, and how many reproduce the data; of forces that were not
+        order; of fewer modes the order that was given, and how many reproduce the data; of poles that may be 0 how many
+        they are, and the p-value of 0; of forces that were not
         measured the root mean square of what inputs do not explain over that of each output; of noise that outputs
         share the largest correlation; of a parameter at a bound its value; of a combination of parameters the relative
         changes of all that leave no trace together; of columns that are the same the factor between them; of swapped
@@ -420,6 +422,12 @@ def _of_fewer_modes(finding: Finding, terms: _Terms) -> str:
     )
 
 
+def _of_integrator(finding: Finding, terms: _Terms) -> str:
+    count, p_value = finding.values
+    poles, plant = ("A pole", "an integrator") if count == 1 else ("Two poles", "a double integrator, as a free mass")
+    return f"{poles} may be 0 (p = {p_value:.2g}): {plant}."
+
+
 def _of_parameter_bound(finding: Finding, terms: _Terms) -> str:
     return (
         f"{finding.output} ended at its bound {finding.values[0]:.6g}, and is held there: others have their errors so."
@@ -467,7 +475,7 @@ _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
     Cause.HAMMER_NOISE: _of_hammer_noise, Cause.CONTACT_NOISE: _of_contact_noise,
     Cause.SATURATION: _of_saturation, Cause.ROUNDED: _of_rounded, Cause.WILD_LINES: _of_wild_lines,
     Cause.LARGEST_ORDER: _of_largest_order, Cause.FEWER_MODES: _of_fewer_modes, Cause.OUTLIERS: _of_outliers,
-    Cause.INPUT_NOISE: _of_input_noise, Cause.PARAMETER_BOUND: _of_parameter_bound,
+    Cause.INPUT_NOISE: _of_input_noise, Cause.PARAMETER_BOUND: _of_parameter_bound, Cause.INTEGRATOR: _of_integrator,
     Cause.UNIDENTIFIED: _of_unidentified, **dict.fromkeys(REJECTED.values(), _of_rejection),
     Cause.COMPLEX_SHAPES: _of_complex_shapes, Cause.SAME_COLUMNS: _of_same_columns, Cause.SWAPPED: _of_swapped,
 }  # fmt: skip
