@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment, minimize_scalar
 
-from ._types import Array, PortPairs, RandomSource
+from ._types import Array, PortPairs, RandomSource, SystemNames
 from .exceptions import StructureError, UnknownKeywordError
 
 EPS = float(np.finfo(float).eps)
@@ -533,17 +533,7 @@ def between(name: str, value: object, low: float, high: float, advice: str = "")
 
 
 NAMES = ("name", "inputs", "outputs", "states")
-_KNOWN_NAMES = {
-    *NAMES,
-    "input",
-    "output",
-    "state",
-    "input_prefix",
-    "output_prefix",
-    "state_prefix",
-    "repr_format",
-    "dt",
-}
+_KNOWN_NAMES = {*SystemNames.__annotations__, "dt"}
 
 
 def known_keywords(
