@@ -7,21 +7,18 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
 from .._display import Report
 from .._frozen import Frozen
 from .._options import PORT_KINDS, PortKind
+from .._types import Array, ComplexArray
 from .._units import common_unit, rate
 from ..exceptions import StructureError
 from ..modal.positive_real import Matrices, Passivity, split_axis, violations, well_conditioned
 from ..numerics.rational import split_infinity, state_space
 from ..systems.base import Convertible, in_normal_form
 from ..systems.port_hamiltonian import PortHamiltonian
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

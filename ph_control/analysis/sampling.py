@@ -6,11 +6,10 @@ import warnings
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
 from .._options import INTERPOLATIONS, Discretisation, Interpolation
-from .._types import SystemNames, Unpack
+from .._types import Array, SystemNames, Unpack
 from .._units import common_unit, with_unit
 from ..exceptions import ResolutionWarning
 from ..modal.discretization import Hold, check_method
@@ -20,8 +19,6 @@ from ..systems.dissipative import DissipativePortHamiltonian
 from .other_systems import as_system, sampled
 from .time_grid import listed, swing
 from .trajectories import check_finite, companion_step, modes_cancel, trajectory
-
-Array = NDArray[np.float64]
 
 
 def sample(

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._types import SystemNames
 from .._units import checked_unit, with_unit
@@ -23,9 +22,6 @@ from ..systems.dissipative import DissipativePortHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
 from .files import as_path, read_bytes, source_name, write_atomically
 from .json_format import Fields, compose, decompose
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _MOST_PORTS = 1 << 14  # of a document, which may tell any number of a model without modes
 

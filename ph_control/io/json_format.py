@@ -17,12 +17,10 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._types import Array, ComplexArray
 from ..exceptions import FileFormatError
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Value = TypeVar("Value")
 
 FORMAT = "ph_control"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import control as ct
 import numpy as np
@@ -24,9 +24,6 @@ from .inputs import Subject, is_fit, subjects_of, title_of
 from .style import AxesGiven, LineStyle, Look, MarkStyle, Picture, frequency_axis, labelled, picture, plain
 
 WeightKind = Literal["kappa", "r"]
-
-if TYPE_CHECKING:
-    pass
 
 _WIDE = 1e3  # ratio of weights beyond which they are drawn to a logarithmic scale
 _DECADES = 100.0  # ratio of frequencies beyond which they are

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -28,9 +28,6 @@ from .style import (
     plain,
     plain_log_labels,
 )
-
-if TYPE_CHECKING:
-    pass
 
 _SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
 _DOT = 1 / 1200  # of the width of a picture

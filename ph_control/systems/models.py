@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
-from .._types import SystemNames, Unpack
+from .._types import Array, ArrayLike, SystemNames, Unpack
 from ..exceptions import StructureError
 from .port_hamiltonian import PortHamiltonian, ph
-
-Array = NDArray[np.float64]
 
 _LARGEST = 10**6  # masses of a chain: its matrices are dense
 
