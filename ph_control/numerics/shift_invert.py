@@ -296,7 +296,7 @@ def lowest_modes(pencil: Pencil, number: int, F: Array | None) -> Selection:
             "asked for and the six of a free body: loose parts, mechanisms or missing supports; all are kept, and no "
             f"others: ask for modes={len(pencil.kernel.squares) + number} to have {number} elastic ones beside them",
             ConditioningWarning,
-            stacklevel=6,
+            stacklevel=5,
         )
     for _ in range(_ROUNDS):
         while (last := _end(eigenpairs.squares, number, pencil)) is None:

@@ -88,6 +88,11 @@ class ModeChoice:
     residual_modes: bool
     eigensolver: Eigensolver | None
 
+    @property
+    def few(self) -> bool:
+        """Whether not all modes are."""
+        return self.modes is not None or self.band is not None
+
 
 def structural_modes(
     M: sparse.csc_array, K: sparse.csc_array, F: Array, choice: ModeChoice, rtol: float | None
@@ -118,7 +123,7 @@ def structural_modes(
             "inexact, as where an edge of the band lies on a natural frequency, or K and M are badly scaled; compare "
             "with another band or number of modes",
             ConditioningWarning,
-            stacklevel=4,
+            stacklevel=3,
         )
     return StructuralModes(
         np.sqrt(squares), kept.shapes, np.sqrt(stiff), residual_shapes, residuals, chosen.counted.below, complete,

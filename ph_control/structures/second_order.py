@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -23,6 +23,7 @@ from .massless import Structure, inverse, refuse_massless, symmetric, with_mass
 from .modal_reduction import (
     NOTES,
     ModeChoice,
+    StructuralModes,
     dense,
     projected_damping,
     projected_gyroscopic,
@@ -47,19 +48,6 @@ _ADVICE = {
     "u = -(K - K.T)/2 q with control.feedback",
 }
 _KINDS = ("position", "displacement", "velocity", "acceleration")
-
-
-class _GivenStructure(NamedTuple):
-    """Structure and what is measured of it, as `from_second_order` takes them."""
-
-    M: ArrayLike | sparse.sparray
-    K: ArrayLike | sparse.sparray
-    F: ArrayLike | sparse.sparray | None
-    C: ArrayLike | sparse.sparray | None
-    G: ArrayLike | sparse.sparray | None
-    sensors: Mapping[str, ArrayLike] | ArrayLike | None
-    base: ArrayLike | None
-    condense: bool
 
 
 def from_second_order(
@@ -221,10 +209,46 @@ def from_second_order(
     _checks.flags(condense=condense, residual_modes=residual_modes)
     if F is None and base is None:
         raise StructureError("there are neither forces F nor a base that moves; give one of them, or both")
-    if modes is not None or band is not None:
-        given = _GivenStructure(M, K, F, C, G, sensors, base, condense)
-        return _of_few_modes(given, ModeChoice(modes, band, residual_modes, eigensolver), rtol, names)
-    if eigensolver is not None:
+    choice = ModeChoice(modes, band, residual_modes, eigensolver)
+    mass, stiffness, damping, gyroscopic = _matrices(M, K, C, G, choice)
+    directions = base_directions(base, mass.shape[0])
+    force = _forces(F, mass, directions)
+    measured = measured_rows(sensors, mass.shape[0])
+    if rtol is not None:
+        _checks.relative_tolerance(rtol)
+    if choice.few:
+        refuse_massless(mass, (damping, gyroscopic), force, condense)
+        kept = structural_modes(mass, stiffness, force, choice, rtol)
+        built, number = _on_modes(kept, damping, gyroscopic, force), "mode_"
+    else:
+        built, kept, number = with_mass(mass, damping, gyroscopic, stiffness, force, condense), None, ""
+        built = built._replace(K=_with_exact_kernel(built.M, built.K, rtol))
+    states = [f"{letter}_{number}{k + 1}" for letter in "qp" for k in built.kept]
+    system = _system(built, inverse(built.M), measured, states, names, directions)
+    system.structural_modes = kept
+    if directions.size:
+        momenta = -force[:, -directions.shape[1] :]  # of masses that move with the base by 1
+        moving = np.asarray(np.einsum("ij,ij->j", directions, momenta))
+        system.base_motion = (
+            motion_of_structure(built.M, built.K, momenta[built.kept], moving, built.motion)
+            if kept is None
+            else motion_of_modes(kept.natural_frequencies, kept.shapes.T @ momenta, moving, kept.shapes)
+        )
+    return system
+
+
+def _matrices(M: Any, K: Any, C: Any, G: Any, choice: ModeChoice) -> tuple[Any, Any, Any, Any]:
+    """Check mass, stiffness, damping and gyroscopic matrix: sparse where few modes are kept, else arrays."""
+    if choice.modes is not None and choice.band is not None:
+        raise StructureError("modes and band are both given; give only one")
+    if choice.few:
+        if choice.eigensolver is not None and not callable(choice.eigensolver):
+            raise StructureError(f"eigensolver is {_checks.shown(choice.eigensolver)}; it must be a function, or None")
+        mass = sparse_matrix("M", M)
+        n = mass.shape[0]
+        damping = None if C is None else sparse_matrix("C", C, n)
+        return mass, sparse_matrix("K", K, n), damping, None if G is None else sparse_skew_matrix("G", G, n)
+    if choice.eigensolver is not None:
         raise StructureError("an eigensolver needs modes= or band=; give one of them")
     if any(sparse.issparse(matrix) for matrix in (M, K, C, G)):
         raise StructureError(
@@ -234,20 +258,7 @@ def from_second_order(
     mass, stiffness = _square("M", M), _square("K", K)
     if mass.shape != stiffness.shape:
         raise StructureError(f"M has shape {mass.shape} and K {stiffness.shape}; they must be the same")
-    directions = base_directions(base, len(mass))
-    force = _forces(F, mass, directions)
-    damping, gyroscopic = _damping(C, len(mass)), _gyroscopic(G, len(mass))
-    measured = measured_rows(sensors, len(mass))
-    if rtol is not None:
-        _checks.relative_tolerance(rtol)
-    built = with_mass(mass, damping, gyroscopic, stiffness, force, condense)
-    stiffness = _with_exact_kernel(built.M, built.K, rtol)
-    states = [f"{letter}_{k + 1}" for letter in "qp" for k in built.kept]
-    system = _system(built._replace(K=stiffness), inverse(built.M), measured, states, names, directions)
-    if directions.size:
-        momenta, moving_mass = _carried(force, directions)
-        system.base_motion = motion_of_structure(built.M, stiffness, momenta[built.kept], moving_mass, built.motion)
-    return system
+    return mass, stiffness, _damping(C, len(mass)), _gyroscopic(G, len(mass))
 
 
 def _forces(F: ArrayLike | sparse.sparray | None, M: Array | sparse.csc_array, directions: Array) -> Array:
@@ -256,52 +267,18 @@ def _forces(F: ArrayLike | sparse.sparray | None, M: Array | sparse.csc_array, d
     return np.hstack([force, base_forces(M, directions)]) if directions.size else force
 
 
-def _carried(force: Array, directions: Array) -> tuple[Array, Array]:
-    """Momenta (n, r) of masses that move with the base by 1, and what these masses sum up to (r,)."""
-    momenta = -force[:, -directions.shape[1] :]
-    return momenta, np.asarray(np.einsum("ij,ij->j", directions, momenta))
-
-
-def _of_few_modes(
-    given: _GivenStructure, choice: ModeChoice, rtol: float | None, names: SystemNames
-) -> PortHamiltonian:
-    """System in modal coordinates: the modes wanted, then residual modes."""
-    if choice.modes is not None and choice.band is not None:
-        raise StructureError("modes and band are both given; give only one")
-    mass = sparse_matrix("M", given.M)
-    n = mass.shape[0]
-    stiffness = sparse_matrix("K", given.K, n)
-    damping = None if given.C is None else sparse_matrix("C", given.C, n)
-    gyroscopic = None if given.G is None else sparse_skew_matrix("G", given.G, n)
-    directions = base_directions(given.base, n)
-    force = _forces(given.F, mass, directions)
-    sensors = given.sensors
-    measured = measured_rows(
-        {kind: dense(rows) for kind, rows in sensors.items()} if isinstance(sensors, Mapping) else dense(sensors), n
-    )
-    if rtol is not None:
-        _checks.relative_tolerance(rtol)
-    if choice.eigensolver is not None and not callable(choice.eigensolver):
-        raise StructureError(f"eigensolver is {_checks.shown(choice.eigensolver)}; it must be a function, or None")
-    refuse_massless(mass, (damping, gyroscopic), force, given.condense)
-    kept = structural_modes(mass, stiffness, force, choice, rtol)
+def _on_modes(
+    kept: StructuralModes, damping: sparse.csc_array | None, gyroscopic: sparse.csc_array | None, force: Array
+) -> Structure:
+    """Structure in modal coordinates: the modes wanted, then residual modes."""
     basis = np.hstack([kept.shapes, kept.residual_shapes])
     squares = np.concatenate([kept.natural_frequencies, kept.residual_frequencies]) ** 2
     reduced = None if damping is None else projected_damping(damping, basis)
     if reduced is not None:
         refuse_negative("C on the modes", reduced, {"C": slice(0, len(reduced))})
     turning = None if gyroscopic is None else projected_gyroscopic(gyroscopic, basis)
-    number, unit = np.arange(len(squares)), np.eye(len(squares))
-    built = Structure(unit, reduced, turning, np.diag(squares), basis.T @ force, basis, number)
-    states = [f"{letter}_mode_{k + 1}" for letter in "qp" for k in number]
-    system = _system(built, unit, measured, states, names, directions)
-    system.structural_modes = kept
-    if directions.size:
-        momenta, moving_mass = _carried(force, directions)
-        system.base_motion = motion_of_modes(
-            kept.natural_frequencies, kept.shapes.T @ momenta, moving_mass, kept.shapes
-        )
-    return system
+    number = np.arange(len(squares))
+    return Structure(np.eye(len(squares)), reduced, turning, np.diag(squares), basis.T @ force, basis, number)
 
 
 def _system(
@@ -392,7 +369,7 @@ def measured_rows(sensors: Mapping[str, ArrayLike] | ArrayLike | None, n: int) -
         raise StructureError(
             f"the sensors measure {_checks.shown(unknown[0])}; known are {', '.join(map(repr, _KINDS))}"
         )
-    checked = {kind: checked_rows(f"the sensors of {kind}", value, n) for kind, value in given.items()}
+    checked = {kind: checked_rows(f"the sensors of {kind}", dense(value), n) for kind, value in given.items()}
     return {kind: rows for kind, rows in checked.items() if len(rows)}
 
 

@@ -84,10 +84,7 @@ class SecondOrderSystem:
         self.K = sparse_matrix("K", K, n)
         self.C = None if C is None else sparse_matrix("C", C, n)
         self.F = _checks.port_matrix(dense(F), n, name="F")
-        given = (
-            {kind: dense(rows) for kind, rows in sensors.items()} if isinstance(sensors, Mapping) else dense(sensors)
-        )
-        self.sensors = measured_rows(given, n)
+        self.sensors = measured_rows(sensors, n)
         self._condense, self._names = condense, names
         refuse_massless(self.M, (self.C,), self.F, condense)
 
