@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
 
 # control characters but for tab and line feed, marks that turn the direction of reading, and halves of characters
 _UNSEEN = "\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff"
@@ -258,6 +260,14 @@ class MissingPackageError(PHControlError, ImportError):
     >>> issubclass(phc.MissingPackageError, ImportError)
     True
     """
+
+
+def installed(module: str, needs: str, remedy: str = "pip install 'ph_control[formats]'") -> Any:
+    """Module of a package that need not be there; `needs` says of a missing one what needs it."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise MissingPackageError(f"{needs}, which is not installed: {remedy}") from None
 
 
 class OutputExistsError(PHControlError, FileExistsError):

@@ -11,7 +11,7 @@ from typing import Any
 
 import ph_control as phc
 
-from ..exceptions import MissingPackageError, StructureError
+from ..exceptions import StructureError, installed
 from .options import Parser
 from .outcome import EXIT_CODES, emit, guarded
 
@@ -79,12 +79,7 @@ def _run(words: list[str]) -> int:
 
 def _completion_script(words: Sequence[str]) -> str:
     """Script for the shell that `words` names, with the options of all commands."""
-    try:
-        import shtab
-    except ImportError:
-        raise MissingPackageError(
-            "completion needs shtab, which is not installed: pip install 'ph_control[completion]'"
-        ) from None
+    shtab = installed("shtab", "completion needs shtab", "pip install 'ph_control[completion]'")
     if len(words) != 1 or words[0] not in shtab.SUPPORTED_SHELLS:
         shells = ", ".join(shtab.SUPPORTED_SHELLS)
         raise StructureError(f"--print-completion takes the name of a shell, one of {shells}")

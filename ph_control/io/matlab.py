@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.io
 
-from ..exceptions import FileFormatError, MissingPackageError, PHControlError
+from ..exceptions import FileFormatError, PHControlError, installed
 
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _UTF8 = 16
@@ -172,14 +172,10 @@ def _filled(shape: tuple[int, ...], rows: Any, ends: Any, values: Any) -> Any:
 
 def _hdf5_variables(content: bytes, name: str) -> dict[str, object]:
     """Variables of a file, as `read_matlab` gives them."""
-    try:
-        import h5py
-    except ImportError:
-        raise MissingPackageError(
-            f"{name} is HDF5, or of version 7.3 of MATLAB, read by h5py, which is not installed: "
-            "pip install 'ph_control[formats]', or "
-            "save the file in MATLAB with the option '-v7'"
-        ) from None
+    h5py = installed(
+        "h5py", f"{name} is HDF5, or of version 7.3 of MATLAB, read by h5py",
+        "pip install 'ph_control[formats]', or save the file in MATLAB with the option '-v7'",
+    )  # fmt: skip
     with h5py.File(io.BytesIO(content), "r") as file:
         return _Hdf5(file, h5py, name, content.startswith(b"MATLAB ")).fields(file, 0)
 

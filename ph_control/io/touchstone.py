@@ -13,7 +13,7 @@ from control import FrequencyResponseData
 
 from .. import _checks
 from .._options import NETWORK_PARAMETERS, NetworkParameter
-from ..exceptions import FileFormatError, MissingPackageError, StructureError
+from ..exceptions import FileFormatError, StructureError, installed
 from .files import read_bytes, source_name
 from .frequency_csv import response_matrix
 from .tables.text_table import text_lines
@@ -111,12 +111,7 @@ def _complete_options(line: re.Match[str]) -> str:
 
 def _network(text: str, name: str) -> Any:
     """Network of scikit-rf."""
-    try:
-        import skrf
-    except ImportError:
-        raise MissingPackageError(
-            "Touchstone files are read by scikit-rf, which is not installed: pip install 'ph_control[formats]'"
-        ) from None
+    skrf = installed("skrf", "Touchstone files are read by scikit-rf")
     stream: Any = io.StringIO(re.sub(r"^[ \t]*#([^!\n]*)", _complete_options, text, count=1, flags=re.MULTILINE))
     stream.name = os.path.basename(name)
     with warnings.catch_warnings(), np.errstate(all="ignore"):

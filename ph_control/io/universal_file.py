@@ -16,7 +16,7 @@ from control import FrequencyResponseData, TimeResponseData
 from .. import _checks
 from .._types import Array
 from ..analysis.time_grid import shortest_number
-from ..exceptions import FileFormatError, MissingPackageError, StructureError
+from ..exceptions import FileFormatError, StructureError, installed
 from .files import read_bytes, source_name
 from .frequency_csv import response_matrix
 from .time_csv import complete_grid, recording
@@ -191,12 +191,7 @@ def _functions(data_sets: list[tuple[int, dict[str, Any]]], name: str) -> tuple[
 
 def _data_sets(content: bytes, name: str, number: int) -> list[tuple[int, dict[str, Any]]]:
     """Fields of all data sets of a number, each with its place."""
-    try:
-        import pyuff
-    except ImportError:
-        raise MissingPackageError(
-            "universal files are read by pyuff, which is not installed: pip install 'ph_control[formats]'"
-        ) from None
+    pyuff = installed("pyuff", "universal files are read by pyuff")
     if b"    -1" not in content:
         raise FileFormatError(f"{name} is not a universal file: no line of it is '    -1'; export it as UFF or UNV")
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), np.errstate(all="ignore"):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from types import ModuleType
 from typing import Any
 
 import control as ct
 import numpy as np
 
 from .._types import Array
-from ..exceptions import MissingPackageError, StructureError
+from ..exceptions import StructureError, installed
 from ..systems.dissipative import parts_of
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 
@@ -122,9 +121,5 @@ def _dense(matrix: Any) -> Any:
     return np.array(matrix.toarray() if hasattr(matrix, "toarray") else matrix, float)
 
 
-def _iosys() -> ModuleType:
-    try:
-        from pymor.models import iosys
-    except ImportError:
-        raise MissingPackageError("models of pyMOR need pyMOR, which is not installed: pip install pymor") from None
-    return iosys
+def _iosys() -> Any:
+    return installed("pymor.models.iosys", "models of pyMOR need pyMOR", "pip install pymor")

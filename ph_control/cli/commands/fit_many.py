@@ -24,7 +24,7 @@ from typing import Any
 
 import ph_control as phc
 
-from ...exceptions import MissingPackageError, PHControlError, StructureError
+from ...exceptions import PHControlError, StructureError, installed
 from ..inputs import measurements
 from ..options import Parser, add_recording, add_written
 from ..outcome import DONE, INTERRUPTED, NO, ProgressLine, complain, in_shell_terms
@@ -109,14 +109,10 @@ def _workers(options: Namespace) -> Iterator[Any]:
     if options.scheduler is None:
         yield options.workers
         return
+    needs = "--scheduler needs the package distributed"
+    distributed = installed("distributed", needs, "pip install 'ph_control[distributed]'")
     try:
-        from distributed import Client
-    except ImportError:
-        raise MissingPackageError(
-            "--scheduler needs the package distributed, which is not installed: pip install 'ph_control[distributed]'"
-        ) from None
-    try:
-        client = Client(options.scheduler, set_as_default=False)
+        client = distributed.Client(options.scheduler, set_as_default=False)
     except (OSError, ValueError) as error:
         raise PHControlError(f"there is no cluster at {options.scheduler}: {error}; check its address") from None
     with client:

@@ -9,10 +9,9 @@ from typing import Any, Literal
 import numpy as np
 import scipy.io.wavfile
 
-from ...exceptions import FileFormatError, MissingPackageError, PHControlError
+from ...exceptions import FileFormatError, PHControlError, installed
 from .columns import ArrayTable
 
-_PACKAGES = {"TDMS": "nptdms", "Parquet": "pyarrow"}
 _UNKNOWN = 0xFFFFFFFF  # bytes that a WAV file announces which was written to a pipe: so many as there are
 
 
@@ -23,11 +22,6 @@ def read_array_table(content: bytes, name: str, suffix: str) -> ArrayTable:
         table = reader(content, name)
     except PHControlError:
         raise
-    except ImportError:
-        raise MissingPackageError(
-            f"{name}: {kind} files are read by {_PACKAGES[kind]}, which is not installed: "
-            "pip install 'ph_control[formats]'"
-        ) from None
     except Exception as error:
         # a damaged file ends in errors of every kind in the packages that read it
         raise FileFormatError(
@@ -39,8 +33,7 @@ def read_array_table(content: bytes, name: str, suffix: str) -> ArrayTable:
 
 
 def _tdms(content: bytes, name: str) -> ArrayTable:
-    import nptdms
-
+    nptdms = installed("nptdms", f"{name}: TDMS files are read by nptdms")
     file = nptdms.TdmsFile.read(io.BytesIO(content))
     channels = [channel for group in file.groups() for channel in group.channels() if len(channel)]
     several = len({channel.group_name for channel in channels}) > 1
@@ -60,9 +53,8 @@ def _tdms(content: bytes, name: str) -> ArrayTable:
 
 
 def _parquet(content: bytes, name: str) -> ArrayTable:
-    import pyarrow.parquet
-
-    table = pyarrow.parquet.read_table(pyarrow.BufferReader(content))
+    parquet = installed("pyarrow.parquet", f"{name}: Parquet files are read by pyarrow")
+    table = parquet.read_table(io.BytesIO(content))
     arrays = tuple(np.asarray(column.to_numpy()) for column in table.columns)
     # columns of integers with gaps come as floats or as objects
     arrays = tuple(_without_objects(values) for values in arrays)
