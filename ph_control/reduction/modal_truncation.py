@@ -19,6 +19,7 @@ from .._checks import EPS
 from .._types import Array, ComplexArray, Mask
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
+from ..systems.passive_form import equations
 from ..systems.port_hamiltonian import ph
 
 _NEW = 1e-9  # of its length: what a static deflection has beside the modes, to be kept
@@ -86,12 +87,6 @@ def sees(rows: Array, still: Array, Q: Array) -> Mask:
     return np.asarray(np.abs(rows @ still).max(axis=1, initial=0.0) > 1e-9 * reach)
 
 
-def matrices_of(parts: Parts) -> tuple[Array, Array, Array]:
-    """`A`, `B` and `C` of a system of unit energy, the outputs of its ports before those of its sensors."""
-    A, B, power = parts["J"] - parts["R"], parts["G"] - parts["P"], parts["G"] + parts["P"]
-    return A, B, np.vstack([power.T, parts["sensor_rows"]])
-
-
 def projected(parts: Parts, V: Array) -> Parts:
     """A system of unit energy on the span of orthonormal columns."""
     moved = {name: V.T @ parts[name] @ V for name in ("J", "R")} | {name: V.T @ parts[name] for name in ("G", "P")}
@@ -101,7 +96,7 @@ def projected(parts: Parts, V: Array) -> Parts:
 
 def truncated(parts: Parts, wanted: Wanted) -> Parts:
     """Modes of a system of unit energy, and one or two states for the static deflections of each port."""
-    F, B, C = matrices_of(parts)
+    F, B, C, _ = equations(parts)
     static = _static_deflections(F, B) if wanted.residual_modes else np.zeros((len(F), 0))
     if wanted.order is not None and static.shape[1] + 2 > wanted.order:
         static = static[:, :0]

@@ -21,7 +21,7 @@ from ..modal.general_form import real_matrices
 from ..modal.positive_real import Split, split_axis
 from ..numerics.rational import state_space
 from ..systems.base import Convertible, inherited_names
-from ..systems.passive_form import joined, lossless_parts, minimal_part
+from ..systems.passive_form import equations, joined, lossless_parts, minimal_part
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 from .interior_point import Closest, FixedPoles, closest_passive
 
@@ -189,13 +189,8 @@ def _with_axis(
 ) -> tuple[Array, Array, Array]:
     if not axis:
         return rest
-    parts = joined(lossless_parts(axis, m), np.zeros((0, m)))
-    A, B, C = rest
-    return (
-        block_diag(A, parts["J"] @ parts["Q"]),
-        np.vstack([B, parts["G"]]),
-        np.hstack([C, parts["G"].T @ parts["Q"]]),
-    )
+    (A, B, C), (own, into, out, _) = rest, equations(joined(lossless_parts(axis, m), np.zeros((0, m))))
+    return block_diag(A, own), np.vstack([B, into]), np.hstack([C, out])
 
 
 def _covariance(family: FixedPoles, C: Array, D: Array, weight: Weight) -> Array | None:

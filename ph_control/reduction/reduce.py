@@ -19,10 +19,10 @@ from ..modal.positive_real import split_axis
 from ..structures.second_order_system import SecondOrderSystem, truncation_errors
 from ..systems.base import Convertible, inherited_names
 from ..systems.dissipative import parts_of, restored
-from ..systems.passive_form import PortRows, joined, lossless_parts, minimal_part, stored_parts
+from ..systems.passive_form import PortRows, equations, joined, lossless_parts, minimal_part, stored_parts
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 from .interior_point import FixedPoles, closest_passive
-from .modal_truncation import Parts, Wanted, lossless_truncated, matrices_of, projected, truncated, with_unit_energy
+from .modal_truncation import Parts, Wanted, lossless_truncated, projected, truncated, with_unit_energy
 from .optimal import Full, Matrices, best_passive, stationary_models
 
 _TOLERANCE = 1e-8  # relative, of norms
@@ -259,7 +259,7 @@ class _Reducer:
             return parts, self._whole_error(parts)
         assert order is not None
         small = self._balanced(order) if self.method == "balanced" else self._optimal(order)
-        error = _difference((self.A, self.B, self.C), matrices_of(small))
+        error = _difference((self.A, self.B, self.C), equations(small)[:3])
         return joined([small, *lossless_parts(self.axis, self.m)], self.through), error
 
     @cached_property
@@ -294,7 +294,7 @@ class _Reducer:
 
     def _whole_error(self, parts: Parts) -> float:
         """Of models that keep poles on the axis or leave them out."""
-        split = split_axis(*matrices_of(parts))
+        split = split_axis(*equations(parts)[:3])
         if len(split.axis) != len(self.axis):
             return np.inf
         return _difference((self.A, self.B, self.C), split.rest)

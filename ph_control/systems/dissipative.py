@@ -23,7 +23,7 @@ from ..numerics.definiteness import AT_ONCE, definite_factor, inverse_bound, unc
 from ..numerics.double_double import exactly, product, two_sum
 from ..symplectic.forms_and_williamson import energy_coordinates, symplectic_form
 from .base import View, inherited_names, refuse_losses
-from .passive_form import Conversion, PortRows, hides_states, passive_parts
+from .passive_form import Conversion, PortRows, equations, hides_states, passive_parts
 from .port_hamiltonian import PortHamiltonian, may_lose_digits, warn_of_ill_conditioning
 
 _ROUNDING = 64  # times `size EPS`: negative eigenvalues that are taken for rounding
@@ -344,9 +344,7 @@ def minimal_of(system: DissipativePortHamiltonian) -> DissipativePortHamiltonian
     parts = _with_definite_energy(system._parts)
     still = len(system.Q) - len(parts["Q"])
     conversion = Conversion("given", 0, 0.0)
-    D = np.vstack([parts["S"] + parts["N"], parts["sensor_feedthrough"]])
-    G, P, dynamics = parts["G"], parts["P"], (parts["J"] - parts["R"]) @ parts["Q"]
-    given = PortRows(dynamics, G - P, np.vstack([(G + P).T @ parts["Q"], parts["sensor_rows"]]), D)
+    given = PortRows(*equations(parts))
     if not _is_clearly_minimal(parts) and hides_states(given):
         try:
             parts, conversion = passive_parts(given, "auto", None, minimal=True)

@@ -343,6 +343,14 @@ def joined(members: Sequence[Parts], through: Array) -> Parts:
     return parts | {"sensor_rows": sensor_rows, "sensor_feedthrough": through}
 
 
+def equations(parts: Parts) -> tuple[Array, Array, Array, Array]:
+    """`A`, `B`, `C` and `D` of a system, the outputs of its ports before those of its sensors."""
+    Q, G, P = parts["Q"], parts["G"], parts["P"]
+    C, D = (G + P).T @ Q, parts["S"] + parts["N"]
+    through = np.vstack([D, parts["sensor_feedthrough"]])
+    return (parts["J"] - parts["R"]) @ Q, G - P, np.vstack([C, parts["sensor_rows"]]), through
+
+
 # --- held against what was given ----------------------------------------------------------------------------------
 
 
@@ -378,10 +386,7 @@ class _GivenResponse:
 
     def _differences(self, parts: Parts, same_states: bool = False) -> tuple[Array, Array]:
         """Largest difference of each output beyond the roundings, and its largest response."""
-        K, G, P = parts["J"] - parts["R"], parts["G"], parts["P"]
-        A, B, C = K @ parts["Q"], G - P, np.vstack([(G + P).T @ parts["Q"], parts["sensor_rows"]])
-        D = np.vstack([parts["S"] + parts["N"], parts["sensor_feedthrough"]])
-        given = self.given
+        given, (A, B, C, D) = self.given, equations(parts)
         with np.errstate(invalid="ignore", over="ignore"):
             if same_states:  # the difference of matrices that nearly agree, to first order
                 change = self.out @ ((A - given.A) @ self.into + B - given.B) + (C - given.C) @ self.into + D - given.D
