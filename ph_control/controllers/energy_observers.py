@@ -12,6 +12,7 @@ from scipy.linalg import eig, solve_continuous_are, solve_continuous_lyapunov, s
 
 from .. import _checks
 from .._types import Array, ArrayLike, SystemNames, Unpack
+from .._units import with_unit
 from ..exceptions import StructureError
 from ..reduction.modal_truncation import energy_basis, sees
 from ..systems.dissipative import parts_of
@@ -92,8 +93,7 @@ def observer(
     through = [np.pad(part[name], ((0, len(port_indices)), (0, len(port_indices)))) for name in "SN"]
     labels = _named(sys, port_indices, names)
     made = ph(part["Q"], G, J=skew, R=R, P=P, S=through[0], N=through[1], sensors=np.eye(n), **labels)
-    made.time_unit = sys.time_unit
-    return made
+    return with_unit(made, sys.time_unit)
 
 
 def _default_gain(sys: PortHamiltonian, ports: list[int]) -> Array:
@@ -206,8 +206,7 @@ def lqg(
         **names,
     }
     made = ph(0.5 * (X + X.T), gained.T, J=0.5 * (flow - flow.T), R=0.25 * (loss + loss.T), **labels)
-    made.time_unit = sys.time_unit
-    return made
+    return with_unit(made, sys.time_unit)
 
 
 def _riccati(A: Array, S: Array, W: Array) -> Array | None:

@@ -115,8 +115,7 @@ def _dissipative_from_dict(fields: Fields) -> DissipativePortHamiltonian:
         sensors = fields.array("sensor_rows", (None, n)), fields.array("sensor_feedthrough", (None, m))
     unit = checked_unit(fields.text("time_unit")) if "time_unit" in fields else None
     system = DissipativePortHamiltonian(Q, G, R=R, P=P, S=S, N=N, J=J, sensors=sensors, **_names_from_dict(fields))
-    system.time_unit = unit
-    return system
+    return with_unit(system, unit)
 
 
 def _general_to_dict(form: GeneralModalForm) -> dict[str, object]:

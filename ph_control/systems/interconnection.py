@@ -13,7 +13,7 @@ from scipy.linalg import block_diag, matrix_balance
 from .. import _checks
 from .._checks import EPS
 from .._types import Array, SystemNames, Unpack
-from .._units import common_unit
+from .._units import common_unit, with_unit
 from ..exceptions import StructureError
 from ..symplectic.darboux_and_casimirs import split_casimirs
 from ..symplectic.forms_and_williamson import direct_sum
@@ -501,9 +501,7 @@ def _made(whole: _Whole, names: SystemNames) -> PortHamiltonian:
     named = {kind: labels for kind, labels in named.items() if labels and names.get(kind, names.get(kind[:-1])) is None}
     if not lossless:
         return restored(part, cast(SystemNames, {**names, **named}), whole.time_unit)
-    made = PortHamiltonian._from_matrices(Q, G, **names, **named)
-    made.time_unit = whole.time_unit
-    return made
+    return with_unit(PortHamiltonian._from_matrices(Q, G, **names, **named), whole.time_unit)
 
 
 # --- names ---------------------------------------------------------------------------------------------------------
