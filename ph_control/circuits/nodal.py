@@ -25,6 +25,7 @@ from .._types import Array, ArrayLike, SystemNames, Unpack
 from .._units import with_unit
 from ..exceptions import FileFormatError, StructureError
 from ..systems.dissipative import DissipativePortHamiltonian
+from ..systems.models import named
 from .elements import Element
 from .hierarchy import elements_of
 from .spice_text import content_of
@@ -213,12 +214,9 @@ def _system(elements: Sequence[Element], names: SystemNames) -> DissipativePortH
     Q, turn = block_diag(*energies), block_diag(*turns_of_states, np.eye(len(ports)))
     K = turn @ K[np.ix_(pick, pick)] @ turn.T
     skew, symmetric = 0.5 * (K - K.T), 0.5 * (K + K.T)
-    given: dict[str, Any] = {
-        key if key.endswith("s") or key == "name" else f"{key}s": value for key, value in names.items()
-    }
     system = DissipativePortHamiltonian(
         Q, -skew[:n, n:], R=symmetric[:n, :n], P=symmetric[:n, n:], S=symmetric[n:, n:], N=skew[n:, n:],
-        J=-skew[:n, :n], **(_signals(branches, ports) | given),
+        J=-skew[:n, :n], **named(names, *_signals(branches, ports)),
     )  # fmt: skip
     return with_unit(system, "s")
 
@@ -258,15 +256,13 @@ def _storage(branches: _Branches, inductance: Array) -> tuple[Array, Array]:
     return charge.T @ (branches.values("C")[:, None] * charge), W.T @ inductance @ W
 
 
-def _signals(branches: _Branches, ports: list[Element]) -> dict[str, list[str]]:
+def _signals(branches: _Branches, ports: list[Element]) -> tuple[list[str], list[str], list[str]]:
     """Names of inputs, outputs and states after the elements."""
     kinds = [("v", "i") if port.letter == "V" else ("i", "v") for port in ports]
     stores = [("q", k) for k in branches.of("C", True)] + [("phi", k) for k in branches.of("L", False)]
-    return {
-        "inputs": [f"{kind[0]}_{_label(port.name)}" for kind, port in zip(kinds, ports, strict=True)],
-        "outputs": [f"{kind[1]}_{_label(port.name)}" for kind, port in zip(kinds, ports, strict=True)],
-        "states": [f"{kind}_{_label(branches.each[k].name)}" for kind, k in stores],
-    }
+    inputs = [f"{kind[0]}_{_label(port.name)}" for kind, port in zip(kinds, ports, strict=True)]
+    outputs = [f"{kind[1]}_{_label(port.name)}" for kind, port in zip(kinds, ports, strict=True)]
+    return inputs, outputs, [f"{kind}_{_label(branches.each[k].name)}" for kind, k in stores]
 
 
 def _label(name: str) -> str:

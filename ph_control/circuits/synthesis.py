@@ -308,7 +308,7 @@ class _Draft:
             is_along = not is_along
 
 
-def _controlled_sources(sys: Convertible, kind: str) -> Netlist:
+def _controlled_sources(sys: Convertible, kind: Immittance) -> Netlist:
     """Netlist of a passive model whose first outputs are its ports, further ones voltages of nodes of their own."""
     A, B, C, D = _matrices(sys)
     m = B.shape[1]
@@ -323,11 +323,7 @@ def _controlled_sources(sys: Convertible, kind: str) -> Netlist:
     draft = _Sources(m, len(C), kind == "impedance")
     draft.states(A / rate, B, 1.0 / rate)
     draft.outputs(C, D)
-    letter = "I" if kind == "impedance" else "V"
-    ports = tuple(
-        Element(f"{letter}{k}", ("0", str(k)) if letter == "I" else (str(k), "0"), 0.0) for k in range(1, m + 1)
-    )
-    return Netlist(tuple(draft.elements), ports, "state-space", kind, f"{TITLE} of an {kind}")
+    return Netlist(tuple(draft.elements), _ports(kind, m), "state-space", kind, f"{TITLE} of an {kind}")
 
 
 def _matrices(sys: Convertible) -> tuple[Array, Array, Array, Array]:
