@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -35,16 +35,12 @@ class Table:
     path: str
     labels: tuple[str, ...] | None
     width: int
+    step: float | None = field(default=None, kw_only=True)  # between samples, s, where the file itself declares it
 
     @property
     def count(self) -> int:
         """Number of rows."""
         raise NotImplementedError
-
-    @property
-    def step(self) -> float | None:
-        """Time between samples that the file itself declares, in seconds."""
-        return None
 
     def columns(self, wanted: Sequence[int]) -> Array:
         """Values of the wanted columns: shape (number wanted, number of rows), NaN where a value is missing."""
@@ -167,17 +163,11 @@ class ArrayTable(Table):
     """Columns of a binary file: numbers, or instants as `numpy.datetime64`."""
 
     arrays: tuple[Any, ...]
-    declared_step: float | None = None
 
     @property
     def count(self) -> int:
         """Number of rows."""
         return len(self.arrays[0])
-
-    @property
-    def step(self) -> float | None:
-        """Time between samples that the file itself declares, in seconds."""
-        return self.declared_step
 
     def columns(self, wanted: Sequence[int]) -> Array:
         """Values of the wanted columns, in the order of `wanted`."""

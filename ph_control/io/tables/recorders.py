@@ -49,7 +49,7 @@ def _tdms(content: bytes, name: str) -> ArrayTable:
     labels = [f"{label} [{unit}]" if unit else label for label, unit in zip(labels, units, strict=True)]
     step = steps.pop() if steps else None
     arrays = tuple(np.asarray(channel[:]) for channel in channels)
-    return ArrayTable(name, tuple(labels), len(labels), arrays, float(step) if step else None)
+    return ArrayTable(name, tuple(labels), len(labels), arrays, step=float(step) if step else None)
 
 
 def _parquet(content: bytes, name: str) -> ArrayTable:
@@ -101,7 +101,7 @@ def _wav(content: bytes, name: str) -> ArrayTable:
         middle = 128.0 * (columns.dtype == np.uint8)
         columns = (columns - middle) / (128.0 if middle else -float(np.iinfo(columns.dtype).min))
     labels = tuple(f"channel {k + 1}" for k in range(columns.shape[1]))
-    return ArrayTable(name, labels, len(labels), tuple(columns.T), 1 / rate)
+    return ArrayTable(name, labels, len(labels), tuple(columns.T), step=1 / rate)
 
 
 READERS = {
