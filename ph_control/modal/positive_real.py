@@ -14,7 +14,7 @@ from functools import cached_property
 
 import control as ct
 import numpy as np
-from scipy.linalg import eigvals, rsf2csf, schur, solve_sylvester
+from scipy.linalg import block_diag, eigvals, rsf2csf, schur, solve_sylvester
 from scipy.linalg.lapack import dtrsen
 from scipy.optimize import brentq, minimize_scalar
 
@@ -199,15 +199,12 @@ class Passivity:
         R = D + D.T - level * np.eye(m)
         if not self.scattering:
             A, B, C, R = balanced(A, B, C, R)
-        M, E = np.zeros((2 * n + m, 2 * n + m)), np.zeros((2 * n + m, 2 * n + m))
-        M[:n, n : 2 * n], M[:n, 2 * n :] = A, B
-        M[n : 2 * n, :n], M[2 * n :, :n] = A.T, B.T
+        none = np.zeros((n, n))
+        square, sides, through = none, C, R
         if self.scattering:
-            M[n : 2 * n, n : 2 * n], M[n : 2 * n, 2 * n :] = -C.T @ C, -C.T @ D
-            M[2 * n :, n : 2 * n], M[2 * n :, 2 * n :] = -D.T @ C, (1 - level) * np.eye(m) - D.T @ D
-        else:
-            M[n : 2 * n, 2 * n :], M[2 * n :, n : 2 * n], M[2 * n :, 2 * n :] = C.T, C, R
-        E[:n, n : 2 * n], E[n : 2 * n, :n] = np.eye(n), -np.eye(n)
+            square, sides, through = -C.T @ C, -D.T @ C, (1 - level) * np.eye(m) - D.T @ D
+        M = np.block([[none, A, B], [A.T, square, sides.T], [B.T, sides, through]])
+        E = block_diag(np.kron([[0.0, 1.0], [-1.0, 0.0]], np.eye(n)), np.zeros((m, m)))
         if regular:
             return np.asarray(shift + 1 / np.linalg.eigvals(np.linalg.solve(M - shift * E, E[:, : 2 * n])[: 2 * n]))
         alpha, beta = eigvals(M, E, homogeneous_eigvals=True)
