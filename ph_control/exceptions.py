@@ -176,7 +176,7 @@ class NotPassiveError(NotLosslessError):
         self.bands, self.unstable, self.signs = [(low, high) for low, high in bands], tuple(unstable), tuple(signs)
         self.sizes, self.frequencies = tuple(sizes), tuple(frequencies)
         self._reasons, self.is_refusal = tuple(reasons), True
-        lines = [_of_pole(p) for p in self.unstable]
+        lines = [f"pole {p.real:.6g}{p.imag:+.6g}i lies in the right half plane" for p in self.unstable]
         lines += [_of_band(*of) for of in zip(self.bands, self.sizes, self.frequencies, strict=True)]
         self.violations = (*lines, *self._reasons)
         head = "the system is not passive, so it has no port-Hamiltonian form:"
@@ -198,10 +198,6 @@ class NotPassiveError(NotLosslessError):
         return type(self), (
             self.bands, self.sizes, self.frequencies, self.unstable, self.signs, self._reasons
         )  # fmt: skip
-
-
-def _of_pole(p: complex) -> str:
-    return f"pole {p.real:.6g}{p.imag:+.6g}i lies in the right half plane"
 
 
 def _of_band(band: tuple[float, float], size: float, frequency: float) -> str:

@@ -222,11 +222,6 @@ def _names(labels: Sequence[str]) -> str:
     return " " + _in_comment(", ".join(map(str, labels)))
 
 
-def _in_line(text: object) -> str:
-    """Text without what would end a line."""
-    return " ".join(str(text).split())
-
-
 def _in_comment(text: object) -> str:
-    """Text that does not end a comment in C."""
-    return _in_line(text).replace("*/", "* /").replace("/*", "/ *").replace("\\", "/").replace("??", "? ?")
+    """Text on a line, which does not end a comment in C."""
+    return " ".join(str(text).split()).replace("*/", "* /").replace("/*", "/ *").replace("\\", "/").replace("??", "? ?")

@@ -85,10 +85,8 @@ class ProgressLine:
         self._often, self._pause = (_OFTEN, 1.0) if self._in_place else (_IN_LINES, _IN_LINES)
         self._text, self._shown, self._start = "at work", 0.0, time.monotonic()
         self._over = threading.Event()
-        self._threads = [threading.Thread(target=task, daemon=True) for task in self._tasks()]
-
-    def _tasks(self) -> list[Callable[[], None]]:
-        return [self._tick] * self._watched + [self._ring] * (self.timeout is not None)
+        tasks = [self._tick] * self._watched + [self._ring] * (timeout is not None)
+        self._threads = [threading.Thread(target=task, daemon=True) for task in tasks]
 
     @property
     def callback(self) -> Callable[[Any], None] | None:

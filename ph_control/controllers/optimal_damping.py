@@ -463,7 +463,7 @@ def _result(
 ) -> OptimalDamping:
     if masses is None:
         gains, stiffnesses = theta, None
-        controller = _dashpots(gains)
+        controller = ph(np.zeros((0, 0)), np.zeros((0, len(gains))), S=np.diag(gains))
     else:
         stiffnesses, gains = theta[::2], theta[1::2]
         each = [_absorber(*constants) for constants in zip(masses, stiffnesses, gains, strict=True)]
@@ -482,11 +482,6 @@ def _result(
         sys, controller, through_ports(sys, controller, ports), tuple(sys.input_labels[k] for k in ports), gains,
         stiffnesses, masses, criterion, cost, without,
     )  # fmt: skip
-
-
-def _dashpots(gains: Array) -> PortHamiltonian:
-    k = len(gains)
-    return ph(np.zeros((0, 0)), np.zeros((0, k)), S=np.diag(gains))
 
 
 def _absorber(m: float, k: float, c: float) -> PortHamiltonian:

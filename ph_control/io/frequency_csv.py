@@ -207,11 +207,6 @@ def selected_channels(
     return response_matrix(data.omega, data.frdata[np.ix_(*places)], list(inputs), list(outputs), path)
 
 
-def is_frequency_table(table: Table) -> bool:
-    """Whether the labels of a table are those of a frequency response, and none is that of a time."""
-    return are_labels_of_response(table.labels or ())
-
-
 def are_labels_of_response(labels: Sequence[str]) -> bool:
     """Whether labels are those of a frequency response; beside a time both parts must be there, as of impedances."""
     named = {role for role in _LABELS if len(_labelled(labels, role)) == 1}

@@ -11,7 +11,7 @@ from control import TimeResponseData
 
 from ..exceptions import StructureError
 from .files import read_bytes, source_name
-from .frequency_csv import COLUMNS, UNITS, are_labels_of_response, is_frequency_table, response_in, selected_channels
+from .frequency_csv import COLUMNS, UNITS, are_labels_of_response, response_in, selected_channels
 from .matlab_tables import read_frequency_mat, read_mat
 from .tables.columns import Table
 from .tables.recorders import READERS, read_array_table
@@ -147,7 +147,7 @@ def _in_table(source: object, given: Mapping[str, Any]) -> tuple[list[Any], Any]
         raise StructureError(
             f"{given_keys[0]}= is for frequency responses and {contrary[0]}= for recordings in time; give one"
         )
-    if given_keys or (not contrary and is_frequency_table(table)):
+    if given_keys or (not contrary and are_labels_of_response(table.labels or ())):
         columns, units = ({key: given.get(key) for key in keys} for keys in (COLUMNS, UNITS))
         data, weights = response_in(table, columns, units, given.get("weights"))
         return [data], weights

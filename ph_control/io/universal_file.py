@@ -359,12 +359,8 @@ def _described(data: Any, outputs: list[str], inputs: list[str], functions: list
         columns = dict(zip(inputs, data.input_labels, strict=True))
     known = {label: quantity for label, (quantity, *others) in quantities.items() if quantity and not others}
     data.quantity = {rows[label]: quantity for label, quantity in known.items()}
-    data.ports = [(rows[label], columns[label]) for label in known if label in columns and _has_direction(label)]
+    data.ports = [(rows[label], columns[label]) for label in known if label in columns and label[-1] in "XYZ"]
     return data
-
-
-def _has_direction(label: str) -> bool:
-    return label[-1] in "XYZ"
 
 
 def _is_wanted(wanted: list[str] | None, label: str) -> bool:

@@ -274,7 +274,8 @@ def _body(text: _Text, shape: _Shape, header: bool | None) -> Body | None:
     behind = next(k for k in range(count, 0, -1) if shape.fits(text.letters(k - 1)))
     # a row with numbers of which one is wrong is a row
     first = _upward(first, lambda k: len(text.words(k)) == width and "n" in kinds(text.words(k), layout.decimal))
-    top = _upward(first, lambda k: _is_row_of_missing(text.letters(k), width))
+    # so is a row of missing values
+    top = _upward(first, lambda k: set(text.letters(k)) == {"m"} and len(text.letters(k)) in (width, width + 1))
     headed = _Header() if header is False else text.header_above(text.content[top], width)
     if headed.labels is None and top:
         headed = _Header() if header is False else text.header_above(text.content[first], width)
@@ -298,10 +299,6 @@ def _upward(k: int, belongs: Callable[[int], bool]) -> int:
     while k and belongs(k - 1):
         k -= 1
     return k
-
-
-def _is_row_of_missing(letters: str, width: int) -> bool:
-    return set(letters) == {"m"} and len(letters) in (width, width + 1)
 
 
 def _place_of_labels(rows: Sequence[_Words]) -> int:

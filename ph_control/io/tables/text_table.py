@@ -149,7 +149,13 @@ class TextOptions:
     comment: str | None = None
 
     def __post_init__(self) -> None:
-        _check_layout(self.header, self.delimiter, self.decimal)
+        if self.header is not None and not _checks.is_flag(self.header):
+            raise StructureError(f"header is {_checks.shown(self.header)}; it must be True, False or None")
+        sign: object = self.delimiter
+        if sign is not None and (not isinstance(sign, str) or len(sign) != 1 or sign in '"\n\r.'):
+            raise StructureError(f"delimiter is {sign!r}; it must be one character, such as ',' or ';' or a tab")
+        if self.decimal is not None:
+            _checks.choice("decimal", self.decimal, DECIMAL_MARKS)
         if self.skiprows is not None:
             _checks.whole_number("skiprows", self.skiprows, 0)
         if self.comment is not None and not isinstance(self.comment, str):
@@ -245,15 +251,6 @@ def _join_header(lines: list[str], first: int) -> bool:
     if parts > 1:
         lines[first : first + parts] = [" ".join(lines[first : first + parts]), *[""] * (parts - 1)]
     return parts > 1
-
-
-def _check_layout(header: object, delimiter: object, decimal: object) -> None:
-    if header is not None and not _checks.is_flag(header):
-        raise StructureError(f"header is {_checks.shown(header)}; it must be True, False or None")
-    if delimiter is not None and (not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter in '"\n\r.'):
-        raise StructureError(f"delimiter is {delimiter!r}; it must be one character, such as ',' or ';' or a tab")
-    if decimal is not None:
-        _checks.choice("decimal", decimal, DECIMAL_MARKS)
 
 
 def text_lines(data: bytes, name: str) -> list[str]:
