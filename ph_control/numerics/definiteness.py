@@ -14,10 +14,10 @@ _CACHED = 1 << 13  # entries of a matrix looked at together
 _NEAR = 10.0  # by how much the smallest eigenvalue is less than its estimate at most
 
 
-def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None, even: bool = True) -> Array:
+def hamiltonian_matrix(Q: ArrayLike, *, even: bool = True) -> Array:
     """Check a Hamiltonian matrix: square, even, symmetric, positive semidefinite.  O(n^3)."""
-    array = symmetric_matrix(Q, name=name, rtol=rtol, even=even)
-    not_indefinite(array, name=name)
+    array = symmetric_matrix(Q, even=even)
+    not_indefinite(array)
     return array
 
 
@@ -29,13 +29,13 @@ def not_surely_indefinite(Q: Array) -> float:
     return not_indefinite(Q) if len(Q) <= AT_ONCE or surely_indefinite(Q) else 0.0
 
 
-def not_indefinite(Q: Array, *, name: str = "Q") -> float:
+def not_indefinite(Q: Array) -> float:
     """Refuse a Hamiltonian matrix with a negative eigenvalue, and return its `inverse_bound`.  O(n^3)."""
     bounds = [0.0]
     for part in uncoupled_halves(Q):
         bounds.append(inverse_bound(part))
         if np.isinf(bounds[-1]):
-            refuse_indefinite(name, smallest_scaled_eigenvalue(part)[0], 8 * len(Q) * EPS)
+            refuse_indefinite("Q", smallest_scaled_eigenvalue(part)[0], 8 * len(Q) * EPS)
     return max(bounds)
 
 
