@@ -14,7 +14,7 @@ from ph_control.identification.regression import time_rows as experiment
 from ph_control.identification.regression.free import FreeProjection, GivenResidues
 from ph_control.identification.regression.frequency_rows import FreeResponse
 from ph_control.identification.regression.spectral_rows import ChannelSpectra, FreeWindow
-from ph_control.identification.regression.time_rows import FreeRecord, Modal, RecordColumns, Shared, gram
+from ph_control.identification.regression.time_rows import FreeRecord, FreeTimeEvaluation, Modal, Shared, gram
 from ph_control.identification.search.free_search import Channels
 from ph_control.modal.discretization import Hold
 
@@ -207,7 +207,7 @@ def test_inner_products_by_groups_are_those_of_the_columns(
     columns = np.concatenate(list(evaluation.blocks()), axis=1)
     expected = columns @ columns.T
     lengths = np.sqrt(np.diag(expected))
-    monkeypatch.setattr(RecordColumns, "_by_gram", True)
+    monkeypatch.setattr(FreeTimeEvaluation, "_by_gram", True)
     for piece in (1, 1 << 19):
         monkeypatch.setattr(experiment, "_BLOCK", piece)
         monkeypatch.setattr(experiment, "_FEWEST", 3)

@@ -329,7 +329,7 @@ def _modal_state_errors(structure: FittedStructure, rows: int) -> Array:
     per_weight = residue_of_unit_weight(d, power)
     r = (scale * (shared[:n] + 1j * shared[n : 2 * n]) / per_weight).real
     shown = r > 0
-    gain = 1.0 / (output_weight(d, quantity)[0] * d * np.sqrt(np.where(shown, r, 1.0)))
+    gain = 1.0 / (output_weight(d, quantity) * d * np.sqrt(np.where(shown, r, 1.0)))
     motion = 2 * scale * (own[:n] - 1j * own[n : 2 * n])
     state, l, width = gain * motion, np.arange(n), 2 * n + len(shared)
     T = np.zeros((n, width + len(own)), complex)

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from scipy.signal import lfilter
 
-from ..._types import Array, ComplexArray, RealOrComplex
+from ..._types import Array, ComplexArray
 from ..._units import DERIVATIVES
 from ...modal.discretization import Hold, Multipliers
 from ...modal.modal_form import imaginary
@@ -64,27 +64,18 @@ class SampledModes(Multipliers):
         b1_slope = b1_slope + lam * (turn * ahead + ahead_slope)
         return cls(growth, phase, b0, b1 + lam * ahead, turn, b0_slope, b1_slope, ahead, ahead_slope)
 
-    def weighted(self, weight: ComplexArray, slope: ComplexArray) -> SampledModes:
-        """The same for inputs with a weight that changes with the pole by a slope."""
-        modes = replace(
-            self,
-            b0=weight * self.b0,
-            b1=weight * self.b1,
-            b0_slope=weight * self.b0_slope + slope * self.b0,
-            b1_slope=weight * self.b1_slope + slope * self.b1,
-        )
-        if self.ahead is None or self.ahead_slope is None:
-            return modes
-        return replace(modes, ahead=weight * self.ahead, ahead_slope=weight * self.ahead_slope + slope * self.ahead)
+    @property
+    def doubled(self) -> SampledModes:
+        """The same for inputs of twice the size."""
+        inputs = ("b0", "b1", "b0_slope", "b1_slope") + ("ahead", "ahead_slope") * (self.ahead is not None)
+        return replace(self, **{name: 2 * getattr(self, name) for name in inputs})
 
 
-def output_weight(d: Array, quantity: str) -> tuple[ComplexArray, ComplexArray]:
-    """Weight of each modal state in the output, and its derivative by the frequency."""
+def output_weight(d: Array, quantity: str) -> ComplexArray:
+    """Weight of each modal state in the output."""
     if quantity == "velocity":
-        return np.ones(len(d), complex), np.zeros(len(d), complex)
-    if quantity == "displacement":
-        return imaginary(1.0 / d), imaginary(-1.0 / d**2)
-    return imaginary(-d), imaginary(-np.ones(len(d)))
+        return np.ones(len(d), complex)
+    return imaginary(1.0 / d if quantity == "displacement" else -d)
 
 
 # --- groups of samples ------------------------------------------------------------------------------------------------
@@ -95,23 +86,19 @@ class ModalColumns:
     """Columns `Re(sum_i amplitude_i motion_i + response to the samples of the group)` over groups of samples.
 
     `amplitudes` (1 or 2, n, count) belong to `lambda^s`, s counting the samples of a group, and to `s lambda^s` times
-    the derivative of the logarithm; `within` (n, SHORT, SHORT) is the response to the samples of an `input`, if any.  A
-    `pair` stands for complex coefficients: beside the real parts are those of `i` times the same.
+    the derivative of the logarithm; `within` (n, SHORT, SHORT) is the response to the samples of an `input`, if any.
+    As coefficients are complex, beside the real parts are those of `i` times the same.
     """
 
     amplitudes: tuple[ComplexArray, ...]
-    within: RealOrComplex | None = None
-    pair: bool = False
+    within: ComplexArray | None = None
     input: int = 0
 
     @property
     def turned(self) -> list[tuple[tuple[ComplexArray, ...], Array | None]]:
         """Amplitudes and real responses of the real parts, and of those of `i` times the same."""
-        real = None if self.within is None else self.within.real
-        if not self.pair:
-            return [(self.amplitudes, real)]
-        imaginary_part = None if self.within is None else -self.within.imag
-        return [(self.amplitudes, real), (tuple(1j * part for part in self.amplitudes), imaginary_part)]
+        real, turned = (None, None) if self.within is None else (self.within.real, -self.within.imag)
+        return [(self.amplitudes, real), (tuple(1j * part for part in self.amplitudes), turned)]
 
 
 @dataclass(frozen=True)
@@ -144,8 +131,8 @@ class Kernel:
     their own group is a product with the impulse responses `g`, and what all earlier ones do is a free motion.
     """
 
-    def __init__(self, modes: SampledModes, through: float = 0.0) -> None:
-        self.modes, self._through = modes, through
+    def __init__(self, modes: SampledModes) -> None:
+        self.modes = modes
         self._powers = modes.powers(np.arange(SHORT + 1.0))
         lam = self._powers[:, 1]
         self.weight = modes.b0 + lam * modes.b1
@@ -161,13 +148,14 @@ class Kernel:
         """Number of modes."""
         return len(self.weight)
 
-    def within(self, pair: bool = False) -> RealOrComplex:
-        """Response to the samples of a group at its instants, shape (n, SHORT, SHORT); complex for a pair."""
-        return _response(self.modes.b1 + self._through, self._impulse, self.modes.ahead, pair)
-
-    def within_slope(self, pair: bool = False) -> RealOrComplex:
-        """Its derivative by the pole, or by what the poles move along."""
-        return _response(self.modes.b1_slope, self._impulse_slope, self.modes.ahead_slope, pair)
+    @cached_property
+    def within(self) -> tuple[ComplexArray, ComplexArray]:
+        """Response to the samples of a group at its instants, (n, SHORT, SHORT), and its derivative by the pole."""
+        modes = self.modes
+        return (
+            _response(modes.b1, self._impulse, modes.ahead),
+            _response(modes.b1_slope, self._impulse_slope, modes.ahead_slope),
+        )
 
     @cached_property
     def motion(self) -> Array:
@@ -241,7 +229,7 @@ class Kernel:
                 here += np.matmul(weights.transpose(1, 2, 0), motion)
 
 
-def _response(now: ComplexArray, later: ComplexArray, ahead: ComplexArray | None, pair: bool) -> RealOrComplex:
+def _response(now: ComplexArray, later: ComplexArray, ahead: ComplexArray | None) -> ComplexArray:
     """Toeplitz matrices (n, SHORT or one more, SHORT): `now` on the diagonal, `later` (n, SHORT) above it.
 
     With what is seen `ahead` of a sample, which is below the diagonal, there is one more row.
@@ -249,7 +237,7 @@ def _response(now: ComplexArray, later: ComplexArray, ahead: ComplexArray | None
     parts = [np.zeros((len(now), SHORT - (ahead is not None))), now[:, None], later[:, : SHORT - 1]]
     if ahead is not None:
         parts.insert(1, ahead[:, None])
-    response = np.concatenate([part if pair else part.real for part in parts], axis=1)
+    response = np.concatenate(parts, axis=1)
     # row j holds the response to sample j
     rows = np.lib.stride_tricks.sliding_window_view(response, SHORT, axis=1)[:, ::-1]
     return np.ascontiguousarray(rows[:, : SHORT + (ahead is not None)])

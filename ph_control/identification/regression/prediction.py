@@ -321,7 +321,7 @@ def state_of(poles: ComplexArray, motion: ComplexArray, quantity: str, r: Array 
 
 def output_gain(modes: ModalForm, quantity: str) -> ComplexArray:
     """Free motion at the output, conjugate to that of the upper pole, of a unit of each state `q + i p`."""
-    return np.asarray(modes.d * modes.nu[:, 0].conj() * output_weight(modes.d, quantity)[0])
+    return np.asarray(modes.d * modes.nu[:, 0].conj() * output_weight(modes.d, quantity))
 
 
 def chosen_experiment(experiments: Sequence[Experiment], place: Any) -> Experiment:

@@ -8,9 +8,9 @@ modes), then the shared ones of a driven experiment, derivatives, and the output
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -448,72 +448,75 @@ class FreeRecord:
 Column = ModalColumns | tuple[str, int]  # modal columns, or a constant, a drift, an input or an output by its number
 
 
-class RecordColumns(Evaluation):
-    """Columns over a record with inputs (m, T) and outputs (q, T) that were observed at the same samples.
+class FreeTimeEvaluation(Evaluation):
+    """The rows of a record for modes with any damping and residues: `y = 2 Re(residue state) + ...`.
 
     O(T n) time and memory for one block; a record of one block is worked out once.
     """
 
-    def __init__(self, rows: FreeRecord, kernel: Kernel, width: int) -> None:
-        self._u, self._y, self._driven, self._offset = rows.u, rows.y, rows.driven, rows.offset
-        self._observed, self._complete, self._kernel, self._level = rows.observed, rows.complete, kernel, rows.level
-        self._late, self._ahead = rows.late, rows.ahead
-        self._last = None if self._ahead is None else self._ahead[:, -1]
+    def __init__(self, rows: FreeRecord, p: ComplexArray) -> None:
+        self._rows, n, m = rows, len(p), len(rows.u)
+        self._kernel = Kernel(rows.modes(p).doubled)
+        self._last = None if rows.ahead is None else rows.ahead[:, -1]
         self._scale = np.ones(len(rows.y)) if rows.scale is None else rows.scale
-        self._groups = self._at_once(width * SHORT)
+        self._groups = self._at_once((4 * n * (1 + m) + 2 * m + rows.offset + len(rows.y)) * SHORT)
         self._only: tuple[GroupStates, Array] | None = None
 
-    def layout(self, states: GroupStates, slopes: bool) -> list[Column]:
-        """All columns in their order, with derivatives if wanted and not known to be some others."""
-        raise NotImplementedError
+    def layout(self, states: GroupStates, slopes: bool = True) -> list[Column]:
+        """Free motions, offsets, responses, what is fed through, derivatives by the poles, rises, outputs."""
+        rows, columns = self._rows, list[Column]()
+        if rows.moving:
+            columns.append(ModalColumns((2 * states.free,)))
+        columns += [("drift", 0), ("constant", 0)][2 - rows.offset :]
+        for k in range(rows.inputs):
+            columns.append(ModalColumns((states.driven[k],), self._kernel.within[0], k))
+            columns += [("input", k)] * rows.through
+        if slopes:
+            if rows.moving:
+                columns.append(ModalColumns((2 * states.free_slope, 2 * states.free)))
+            for k in range(rows.inputs):
+                columns.append(ModalColumns((states.driven_slope[k], states.driven[k]), self._kernel.within[1], k))
+            columns += [("rise", k) for k in range(rows.inputs * (rows.ahead is not None))]
+        return columns + [("output", k) for k in range(len(rows.y))]
 
     def blocks(self, slopes: bool = True) -> Iterator[Array]:
         """All rows, block by block; without `slopes` they may lack the derivatives."""
+        rows = self._rows
         for states, columns in self._pieces(slopes):
-            yield self._kept(states, columns)
+            columns = columns if rows.level is None else columns / rows.level[states.samples]
+            yield columns if rows.complete else columns[:, rows.observed[states.samples]]
 
     def gram(self) -> Array | None:
         """Inner products of the columns, for a long record without gaps."""
-        return self._by_groups(partial(self.layout, slopes=True)) if self._by_gram else None
+        return self._by_groups() if self._by_gram else None
 
     def predict(self, shared: Array, own: Array) -> Array:
         """Output at all samples, observed or not, shape (T,); of several outputs (q, T)."""
-        weights = np.concatenate([own, shared[: len(shared) * self._driven]])
-        outputs = np.empty((*weights.T.shape[:-1], self._u.shape[1]))
+        weights = np.concatenate([own, shared[: len(shared) * self._rows.driven]])
+        outputs = np.empty((*weights.T.shape[:-1], self._rows.length))
         for states, columns in self._pieces(False):
             outputs[..., states.samples] = weights.T @ columns[: len(weights)]
         return outputs
 
-    def _offsets(self) -> list[Column]:
-        terms: list[Column] = [("drift", 0), ("constant", 0)]
-        return terms[2 - self._offset :]
-
-    def _outputs(self) -> list[Column]:
-        return [("output", k) for k in range(len(self._y))]
-
     def _at_once(self, width: int) -> int:
         """Groups of so many numbers each that are looked at in one go."""
-        return min(-(-self._u.shape[1] // SHORT), max(_FEWEST, _BLOCK // width))
+        return min(-(-self._rows.length // SHORT), max(_FEWEST, _BLOCK // width))
 
     def _pieces(self, slopes: bool) -> Iterator[tuple[GroupStates, Array]]:
         if self._only is not None:
             yield self._only
             return
-        alone = self._groups * SHORT >= self._u.shape[1]
-        for states in self._kernel.pieces(self._u, self._groups, slopes or alone, self._last):
+        alone = self._groups * SHORT >= self._rows.length
+        for states in self._kernel.pieces(self._rows.u, self._groups, slopes or alone, self._last):
             piece = states, self._filled(states, self.layout(states, slopes or alone))
             if alone:
                 self._only = piece
             yield piece
 
-    def _kept(self, states: GroupStates, columns: Array) -> Array:
-        columns = columns if self._level is None else columns / self._level[states.samples]
-        return columns if self._complete else columns[:, self._observed[states.samples]]
-
     def _filled(self, states: GroupStates, layout: Sequence[Column]) -> Array:
         """Columns of a piece, those of the samples that pad the last group left out."""
         part, n = states.samples, self._kernel.n
-        sizes = [n * (1 + entry.pair) if isinstance(entry, ModalColumns) else 1 for entry in layout]
+        sizes = [2 * n if isinstance(entry, ModalColumns) else 1 for entry in layout]
         block = np.empty((sum(sizes), states.inputs.shape[1], SHORT))
         flat = block.reshape(len(block), states.inputs.shape[1] * SHORT)[:, : part.stop - part.start]
         place = 0
@@ -526,50 +529,53 @@ class RecordColumns(Evaluation):
         return flat
 
     def _plain(self, kind: str, number: int, part: slice) -> Array | float:
+        rows = self._rows
         if kind == "drift":
             return np.arange(float(part.start), part.stop)
         if kind == "constant":
             return 1.0
         if kind == "output":
-            return self._y[number, part] * self._scale[number]
-        if self._ahead is None:
-            return self._u[number, part]
-        before, after = self._u[number, part], self._ahead[number, part]
-        return after - before if kind == "rise" else self._late * before + (1.0 - self._late) * after
+            return rows.y[number, part] * self._scale[number]
+        if rows.ahead is None:
+            return rows.u[number, part]
+        before, after = rows.u[number, part], rows.ahead[number, part]
+        return after - before if kind == "rise" else rows.late * before + (1.0 - rows.late) * after
 
     # --- inner products without columns -------------------------------------------------------------------------------
 
     @property
     def _width(self) -> int:
         """Numbers about each group of samples that the inner products are made of, at most."""
-        return 8 * self._kernel.n * len(self._u) + (len(self._u) + len(self._y)) * SHORT + 1
+        m, q = len(self._rows.u), len(self._rows.y)
+        return 8 * self._kernel.n * m + (m + q) * SHORT + 1
 
     @property
     def _by_gram(self) -> bool:
         """Whether it pays to go without the columns: no gaps, no drift, and many more samples than numbers."""
-        alike = self._complete and self._offset < 2 and self._level is None
-        return alike and self._u.shape[1] >= max(_LONG, SHORT * self._width // 2)
+        rows = self._rows
+        alike = rows.complete and rows.offset < 2 and rows.level is None
+        return alike and rows.length >= max(_LONG, SHORT * self._width // 2)
 
-    def _by_groups(self, layout: Callable[[GroupStates], Sequence[Column]]) -> Array:
+    def _by_groups(self) -> Array:
         """Inner products by way of groups of samples."""
-        whole = self._u.shape[1] // SHORT
+        whole = self._rows.length // SHORT
         inner: Array | float = 0.0
         rest = np.zeros((1, 0))
-        for states in self._kernel.pieces(self._u, self._at_once(self._width), True, self._last):
+        for states in self._kernel.pieces(self._rows.u, self._at_once(self._width), True, self._last):
             full = whole - states.samples.start // SHORT
-            columns = layout(states)
+            columns = self.layout(states)
             numbers = self._numbers(states, columns)[:, :full]
             inner = inner + numbers @ numbers.T
             if full < states.inputs.shape[1]:
                 late = states.after(full)
-                rest = self._filled(late, layout(late))
+                rest = self._filled(late, self.layout(late))
         return gram(*self._parts(columns), np.asarray(inner)) + rest @ rest.T
 
     def _numbers(self, states: GroupStates, layout: Sequence[Column]) -> Array:
         """What the columns within each group are made of, shape (rows, count): see `_parts`."""
         amplitudes = [each for entry in layout if isinstance(entry, ModalColumns) for each in entry.amplitudes]
         rows = [part for amplitude in amplitudes for part in (amplitude.real, amplitude.imag)]
-        outputs = zip(self._y, self._scale, strict=True)
+        outputs = zip(self._rows.y, self._scale, strict=True)
         signals = [*states.inputs, *(scale * in_groups(y[states.samples]) for y, scale in outputs)]
         return np.concatenate([*rows, *(signal.T for signal in signals), np.ones((1, states.inputs.shape[1]))])
 
@@ -577,18 +583,19 @@ class RecordColumns(Evaluation):
         """Number of columns, and how they follow within a group from the numbers of the group."""
         n, motion = self._kernel.n, np.moveaxis(self._kernel.motion, 1, 0)
         amplitudes = sum(len(entry.amplitudes) for entry in layout if isinstance(entry, ModalColumns))
-        size_in = SHORT + (self._ahead is not None)
-        sizes = [size_in] * len(self._u) + [SHORT] * len(self._y) + [1]
+        rows = self._rows
+        size_in = SHORT + (rows.ahead is not None)
+        sizes = [size_in] * len(rows.u) + [SHORT] * len(rows.y) + [1]
         signals = [2 * n * amplitudes + int(start) for start in np.cumsum([0, *sizes[:-1]])]
         # a sample, the one after it, and what these make of an input with a delay
         now, after = (np.eye(size_in, SHORT, -k)[None] for k in (0, size_in - SHORT))
-        met = now if self._ahead is None else self._late * now + (1 - self._late) * after
+        met = now if rows.ahead is None else rows.late * now + (1 - rows.late) * after
         made = {"rise": after - now, "input": met, "constant": np.ones((1, 1, SHORT)), "output": np.eye(SHORT)[None]}
         modal, shared, column, row = [], [], 0, 0
         for entry in layout:
             if not isinstance(entry, ModalColumns):
                 kind, number = entry
-                place = {"output": len(self._u) + number, "constant": -1}.get(kind, number)
+                place = {"output": len(rows.u) + number, "constant": -1}.get(kind, number)
                 first = signals[place]
                 shared.append(Shared(slice(column, column + 1), slice(first, first + sizes[place]), made[kind]))
                 column += 1
@@ -674,36 +681,3 @@ def _summed(size: int, modal: Sequence[Modal], parts: Array) -> Array:
 def _flat(parts: Array) -> Array:
     # there may be no columns at all, so that the second size has to be told
     return parts.reshape(len(parts), parts.shape[1] * parts.shape[2])
-
-
-# --- the rows of modes ------------------------------------------------------------------------------------------------
-
-
-class FreeTimeEvaluation(RecordColumns):
-    """The rows of a record for modes with any damping and residues: `y = 2 Re(residue state) + ...`."""
-
-    def __init__(self, rows: FreeRecord, p: ComplexArray) -> None:
-        self._rows, n, m, two = rows, len(p), len(rows.u), np.full(len(p), 2.0 + 0j)
-        kernel = Kernel(rows.modes(p).weighted(two, 0 * two))
-        super().__init__(rows, kernel, 4 * n * (1 + m) + 2 * m + rows.offset + len(rows.y))
-
-    @cached_property
-    def _within(self) -> tuple[RealOrComplex, RealOrComplex]:
-        return self._kernel.within(pair=True), self._kernel.within_slope(pair=True)
-
-    def layout(self, states: GroupStates, slopes: bool) -> list[Column]:
-        """Free motions, offsets, responses, what is fed through, derivatives by the poles, rises, outputs."""
-        rows, columns = self._rows, self._offsets()
-        if rows.moving:
-            columns.insert(0, ModalColumns((2 * states.free,), pair=True))
-        for k in range(rows.inputs):
-            columns.append(ModalColumns((states.driven[k],), self._within[0], True, k))
-            columns += [("input", k)] * rows.through
-        if slopes:
-            if rows.moving:
-                columns.append(ModalColumns((2 * states.free_slope, 2 * states.free), pair=True))
-            for k in range(rows.inputs):
-                states_of = (states.driven_slope[k], states.driven[k])
-                columns.append(ModalColumns(states_of, self._within[1], True, k))
-            columns += [("rise", k) for k in range(rows.inputs * (rows.ahead is not None))]
-        return columns + self._outputs()

@@ -269,7 +269,7 @@ class PortRecord:
         rows = FreeRecord(u, np.zeros(u.shape), np.ones(len(self.u), bool), self.hold)
         columns = np.concatenate(list(rows.evaluated(imaginary(d)).blocks()), axis=1).T
         motion, forced, slopes = columns[:, : 2 * n], columns[:, 2 * n : 4 * n], columns[:, 4 * n + 1 : -1]
-        weight = 0.5 * output_weight(d, self.quantity)[0].conj()
+        weight = 0.5 * output_weight(d, self.quantity).conj()
         by_kappa = weight.real * forced[:, :n] + weight.imag * forced[:, n:]
         power = DERIVATIVES[self.quantity] - 1.0
         own = 0.5 * np.concatenate([amplitudes.real, -amplitudes.imag])
@@ -322,7 +322,7 @@ def information_of(problem: PortRecord, jacobian: Array, d: Array, r: Array, amp
     n, samples, h = len(d), len(problem.u), problem.hold.h
     J = in_weights(jacobian, d, r)
     forced, free = _state_sizes(problem, d)
-    forced = forced * np.abs(output_weight(d, problem.quantity)[0])
+    forced = forced * np.abs(output_weight(d, problem.quantity))
     moving = r * d * forced + np.abs(amplitudes) * free
     sizes = [samples * h * moving + r * forced, d * forced] + ([] if problem.from_rest else [free, free])
     return Information.of(

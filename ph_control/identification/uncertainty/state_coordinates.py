@@ -92,7 +92,7 @@ class InCoordinates:
         if form == "ph":
             return np.array(experiment_fit.initial_state)
         # velocity of the port, whatever was measured of it
-        amplitudes = experiment_fit.free_amplitudes.conj() / output_weight(self.d, self.quantity)[0]
+        amplitudes = experiment_fit.free_amplitudes.conj() / output_weight(self.d, self.quantity)
         if form == "oh":
             state, digits = observable_state(self.d, amplitudes)
         else:
