@@ -211,30 +211,20 @@ class FreeRecord:
         So it is into outputs whose noise has the same level (q, T) at all samples.
         """
         groups: dict[bytes, list[int]] = {}
-        complete = bool(observed.all())
-        steps = None if steps is None or not steps.any() else steps
-
-        def stepped(some: list[int]) -> Array | None:
-            return None if steps is None else steps[some]
-
-        if level is not None:
-            for output in np.flatnonzero(observed.any(axis=1)).tolist():
-                groups.setdefault(observed[output].tobytes() + level[output].tobytes(), []).append(output)
-            records = [
-                cls(u, y[some], observed[some[0]], hold, outputs=np.array(some), level=level[some[0]],
-                    steps=stepped(some), **options)
-                for some in groups.values()
-            ]  # fmt: skip
-            return [record.of_one_level() for record in records]
+        alike, steps = bool(observed.all()), None if steps is None or not steps.any() else steps
         for output in np.flatnonzero(observed.any(axis=1)).tolist():
-            groups.setdefault(b"" if complete else observed[output].tobytes(), []).append(output)
-        if len(groups) == 1 and len(y) == len(next(iter(groups.values()))):
-            return [cls(u, y, observed[0], hold, outputs=np.arange(len(y)), steps=steps, **options)]
-        return [
-            cls(u, y[outputs], observed[outputs[0]], hold, outputs=np.array(outputs),
-                steps=stepped(outputs), **options)
-            for outputs in groups.values()
-        ]  # fmt: skip
+            key = b"" if alike else observed[output].tobytes()
+            key += b"" if level is None else level[output].tobytes()
+            groups.setdefault(key, []).append(output)
+        records = []
+        for outputs in groups.values():
+            first, rows = outputs[0], slice(None) if len(outputs) == len(y) else outputs  # the whole is not copied
+            record = cls(
+                u, y[rows], observed[first], hold, outputs=np.array(outputs),
+                steps=None if steps is None else steps[rows], level=None if level is None else level[first], **options,
+            )  # fmt: skip
+            records.append(record.of_one_level())
+        return records
 
     @property
     def inputs(self) -> int:
