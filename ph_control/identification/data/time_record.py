@@ -192,9 +192,14 @@ def refuse_short(samples: int) -> None:
         raise IdentificationError(f"the record has {counted(samples, 'sample')}; a fit needs at least 5")
 
 
+def size_of(values: Array) -> float:
+    """Largest absolute value, without an array of them; NaN is left out."""
+    return max(float(np.fmax.reduce(values, initial=0.0)), -float(np.fmin.reduce(values, initial=0.0)))
+
+
 def refuse_out_of_range(name: str, values: Array) -> None:
     """Refuse a signal whose squares come near the ends of the range of doubles; NaN is left out."""
-    size = max(float(np.fmax.reduce(values, initial=0.0)), -float(np.fmin.reduce(values, initial=0.0)))
+    size = size_of(values)
     if size and not 1 / _LARGEST < size < _LARGEST:
         raise StructureError(
             f"{name} is of size {size:.3g}, and its square is near the end of the range of doubles; allowed is "
@@ -295,10 +300,10 @@ def blocks(samples: int, rows: int = 1) -> Iterator[slice]:
         yield slice(first, min(first + size, samples))
 
 
-def _size(record: InTime, numbers: int = LONG) -> int:
-    """Number of samples whose inputs and outputs are together so many numbers; at least 2."""
+def _size(record: InTime) -> int:
+    """Number of samples whose inputs and outputs are together few enough to be searched; at least 2."""
     channels = record.u.size // max(1, record.samples) + record.y.size // max(1, record.samples)
-    return max(2, numbers // max(1, channels))
+    return max(2, LONG // max(1, channels))
 
 
 def is_long(records: Sequence[CheckedData]) -> bool:
@@ -306,15 +311,15 @@ def is_long(records: Sequence[CheckedData]) -> bool:
     return any(isinstance(record, InTime) and record.samples > _size(record) for record in records)
 
 
-def searched_part(record: CheckedData, from_rest: bool = False, numbers: int = LONG) -> slice:
+def searched_part(record: CheckedData, from_rest: bool = False) -> slice:
     """Samples in which modes are looked for: all, or of a long record those where the outputs move most.
 
-    A part has at most so many numbers; of a plant at rest before the record it is the first one.
+    Of a plant at rest before the record it is the first one.
     """
     if not isinstance(record, InTime):
         return slice(0, record.samples)
     samples = record.samples
-    y, size = np.atleast_2d(record.y), _size(record, numbers)
+    y, size = np.atleast_2d(record.y), _size(record)
     if samples <= size or from_rest:
         return slice(0, min(samples, size))
     moved = np.zeros((len(y), -(-samples // size)))

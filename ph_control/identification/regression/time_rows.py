@@ -20,6 +20,7 @@ from scipy.signal import lfilter
 from ..._options import Interpolation
 from ..._types import Array, ComplexArray, Indices, Mask, RealOrComplex
 from ...modal.discretization import Hold
+from ..data.time_record import size_of
 from .elimination import triangle
 from .modal_regressors import SHORT, GroupStates, Kernel, ModalColumns, SampledModes, in_groups
 
@@ -55,11 +56,6 @@ def change_seldom(u: Array, first: int) -> bool:
         if not np.any(lost > _MUCH * np.sum(np.diff(u[:, :samples]) ** 2, axis=1)):
             return False
     return True
-
-
-def size_of(values: Array) -> float:
-    """Largest absolute value, without an array of them; NaN is left out."""
-    return max(float(np.fmax.reduce(values, initial=0.0)), -float(np.fmin.reduce(values, initial=0.0)))
 
 
 class Evaluation:

@@ -18,11 +18,11 @@ from scipy.stats import chi2, f, norm
 
 from ..._checks import EPS
 from ..._types import Array, Indices, Mask
-from ..data.time_record import Signal, blocks
+from ..data.time_record import Signal, blocks, size_of
 from ..regression.elimination import eliminate, reduced, triangle
 from ..regression.free import FreeProjection
 from ..regression.frequency_rows import FreeResponse
-from ..regression.time_rows import FreeRecord, size_of
+from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 
 _NOISE_ORDERS = 20  # most that are tried for the noise
