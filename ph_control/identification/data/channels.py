@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal, overload
@@ -84,6 +84,14 @@ class Recording(InTime):
         What the recording is called; may be empty.
     time_unit : str or None
         Unit of the time; None where it is not known.
+    unit : float
+        What inputs and outputs were divided by; 1 of a recording as it was measured, as what follows is 0 or None.
+    hum, rounding : ndarray, shape (p, T)
+        What was subtracted from the outputs before that, and what rounding is taken to have added to them.
+    steady : ndarray, shape (m,)
+        What was subtracted from the inputs: values that they are taken to have had long before.
+    level : ndarray, shape (p, T), or None
+        Noise of each sample of the outputs over that of the recording; None where it is the same.
     """
 
     time: Array
@@ -94,26 +102,11 @@ class Recording(InTime):
     output_labels: Labels
     title: str = ""
     time_unit: str | None = None
-
-    @property
-    def unit(self) -> float:
-        """What inputs and outputs were divided by."""
-        return 1.0
-
-    @property
-    def hum(self) -> Array | float:
-        """What was subtracted from the outputs before that, shape (p, T)."""
-        return 0.0
-
-    @property
-    def steady(self) -> Array | float:
-        """What was subtracted from the inputs (m,): values that they are taken to have had long before."""
-        return 0.0
-
-    @property
-    def level(self) -> Array | None:
-        """Noise of each sample of the outputs over that of the recording, shape (p, T); None where it is the same."""
-        return None
+    unit: float = field(default=1.0, init=False)
+    hum: Array | float = field(default=0.0, init=False)
+    rounding: Array | float = field(default=0.0, init=False)
+    steady: Array | float = field(default=0.0, init=False)
+    level: Array | None = field(default=None, init=False)
 
     @property
     def original(self) -> Recording:
@@ -140,20 +133,14 @@ class Recording(InTime):
             return self.original
         given = {part.name: getattr(self.original, part.name) for part in fields(Recording)}
         given |= {"u": (given["u"].T - steady).T / unit, "y": (given["y"] - hum - rounding) / unit}
-        return AdjustedRecording(
-            **given, whole=self.original, divisor=unit, subtracted=hum, levels=level, before=steady, rounded=rounding
-        )
+        given |= {"unit": unit, "hum": hum, "rounding": rounding, "steady": steady, "level": level}
+        return AdjustedRecording(**given, whole=self.original)
 
     @cached_property
     def steps(self) -> Array:
         """Steps (p,) that outputs were rounded to, in the present unit; 0 of others."""
         every = max(1, min(self.samples, LONG) // _LOOKED_AT)
         return _checks.readonly(np.array([rounding_step(row[:LONG:every]) for row in self.y]))
-
-    @property
-    def rounding(self) -> Array | float:
-        """What rounding is taken to have added to the outputs, shape (p, T)."""
-        return 0.0
 
     def before_rounding(self, predicted: Array, rounded: Mask) -> Recording:
         """The same with outputs that are `rounded` (p,) as they tell of others near to those `predicted` (p, T).
@@ -237,51 +224,26 @@ class AdjustedRecording(Recording):
     """A `whole` recording without a hum of its outputs, in another unit, and with the level of its noise in time."""
 
     whole: Recording
-    divisor: float
-    subtracted: Array | float
-    levels: Array | None = None
-    before: Array | float = 0.0
-    rounded: Array | float = 0.0
-
-    @property
-    def unit(self) -> float:
-        """What inputs and outputs were divided by."""
-        return self.divisor
-
-    @property
-    def hum(self) -> Array | float:
-        """What was subtracted from the outputs before that, shape (p, T)."""
-        return self.subtracted
-
-    @property
-    def steady(self) -> Array | float:
-        """What was subtracted from the inputs (m,): values that they are taken to have had long before."""
-        return self.before
-
-    @cached_property
-    def steps(self) -> Array:
-        """Steps (p,) that outputs were rounded to, in the present unit; 0 of others."""
-        return _checks.readonly(self.whole.steps / self.divisor)
-
-    @property
-    def rounding(self) -> Array | float:
-        """What rounding is taken to have added to the outputs, shape (p, T)."""
-        return self.rounded
-
-    @property
-    def level(self) -> Array | None:
-        """Noise of each sample of the outputs over that of the recording, shape (p, T); None where it is the same."""
-        return self.levels
+    unit: float
+    hum: Array | float
+    rounding: Array | float
+    steady: Array | float
+    level: Array | None
 
     @property
     def original(self) -> Recording:
         """The recording as it was measured."""
         return self.whole
 
+    @cached_property
+    def steps(self) -> Array:
+        """Steps (p,) that outputs were rounded to, in the present unit; 0 of others."""
+        return _checks.readonly(self.whole.steps / self.unit)
+
     @property
     def of_one_level(self) -> Recording:
         """The same without the level of its noise."""
-        return replace(self, levels=None)
+        return replace(self, level=None)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -356,5 +356,5 @@ def cut(record: object, part: slice) -> Any:
     short = part.stop - part.start <= LONG
     u, y = (np.asarray(x[..., part], float if short else x.dtype) for x in (record.u, record.y))
     level = getattr(record, "level", None)
-    changes = {} if level is None else {"levels": level[:, part]}
+    changes = {} if level is None else {"level": level[:, part]}
     return replace(record, time=record.clock[part], u=u, y=y, **changes)  # type: ignore[type-var]
