@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask, RealOrComplex
+from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask, NDArray
 from ..diagnosis.verdict import HypothesisTest
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.prediction import natural_jacobian
@@ -129,39 +130,33 @@ def covariance_of(structure: FittedStructure) -> Array:
     inputs = 0 if not width else projection.inputs
     entries = fit.residues.shape[1:]
 
-    def split(values: RealOrComplex) -> tuple[RealOrComplex, RealOrComplex, RealOrComplex]:
-        """Real and imaginary parts (n, p, m) and feedthrough (p, m) of numbers of the shared unknowns."""
+    def in_order(of_poles: Array, values: NDArray[Any]) -> NDArray[Any]:
+        """Numbers of the poles, then those (.., outputs) of the shared unknowns, in the order of a result."""
         each = values.reshape(inputs, -1 if inputs else 2 * n, count)
-        real, imag = (np.moveaxis(each[:, k * n : (k + 1) * n], 0, 2).reshape(n, *entries) for k in (0, 1))
-        if each.shape[1] > 2 * n:
-            return real, imag, each[:, 2 * n].T.reshape(entries)
-        return real, imag, np.full(entries, -1 if values.dtype.kind in "iu" else 1, values.dtype)
+        parts = [np.moveaxis(each[:, k * n : (k + 1) * n], 0, 2).reshape(n, *entries)[rank] for k in (0, 1)]
+        through = np.full(entries, -1 if values.dtype.kind in "iu" else 1, values.dtype)
+        parts.append(each[:, 2 * n].T if each.shape[1] > 2 * n else through)
+        return np.concatenate([of_poles, *(part.ravel() for part in parts)])
 
-    real, imag, through = split(places)
-    order = np.concatenate([rank, n + rank, real[rank].ravel(), imag[rank].ravel(), through.ravel()]).astype(int)
-    unit = [np.ones(2 * n), *(part.ravel() for part in (split(scales)[0], split(scales)[1], split(scales)[2]))]
-    seen = split(projection.excited_unknowns.astype(float))
-    lost = np.concatenate([np.zeros(2 * n), *((part == 0).ravel() for part in (seen[0][rank], seen[1][rank], seen[2]))])
+    order = in_order(np.concatenate([rank, n + rank]), places).astype(int)
+    size = in_order(np.ones(2 * n), scales)
+    lost = in_order(np.ones(2 * n), projection.excited_unknowns.astype(float)) == 0
     given = fit.covariance if n else projection.covariance(fit.variance)
     J, inner = natural_jacobian(fit.p), given.copy()
     inner[: 2 * n] = J @ inner[: 2 * n]
     inner[:, : 2 * n] = inner[:, : 2 * n] @ J.T
     inner = 0.5 * (inner + inner.T)  # but for rounding
-    size = np.concatenate(unit)
     twice = np.where(fit.p[rank].imag == 0, 2.0, 1.0).repeat(int(np.prod(entries)))
     size[2 * n :][: 2 * len(twice)] *= np.tile(twice, 2)  # a real pole has its residue in two halves
     if not inner.size:
         return np.full((len(order), len(order)), np.nan)
     covariance = inner[np.ix_(order, order)] * np.outer(size, size)
     # a structure may tell of residues that free ones do not show
-    unknown = split(_blind(structure).astype(float))
-    hidden = np.concatenate(
-        [np.zeros(2 * n), *(part.ravel() for part in (unknown[0][rank], unknown[1][rank], unknown[2]))]
-    )
+    hidden = in_order(np.zeros(2 * n), _blind(structure).astype(float)) > 0
     nothing = np.tile((fit.residues[rank] == 0).ravel(), 2)  # weights that are held at 0
     still = np.all(fit.residues[rank] == 0, axis=(1, 2)) & (np.diag(covariance)[:n] == 0)  # poles that leave no trace
-    held = np.concatenate([np.tile(still, 2), nothing, np.zeros(through.size, bool)])
-    absent = (order < 0) | ((lost > 0) & (np.diag(covariance) == 0)) | (hidden > 0) | held
+    held = np.concatenate([np.tile(still, 2), nothing, np.zeros(int(np.prod(entries)), bool)])
+    absent = (order < 0) | (lost & (np.diag(covariance) == 0)) | hidden | held
     covariance[absent] = np.nan
     covariance[:, absent] = np.nan
     return covariance
