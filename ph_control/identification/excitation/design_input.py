@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from ... import _checks
-from ..._display import Report, aligned, counted, to_its_error
+from ..._display import Report, counted
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._types import Array, ArrayLike, ComplexArray, Indices
 from ..._units import rate
@@ -21,7 +21,7 @@ from ...modal.discretization import Hold
 from ..uncertainty.fisher import Information, listed
 from ..uncertainty.noise_model import NoiseModel
 from .optimal_spectrum import SpectrumProblem
-from .planned_plant import PlannedPlant, standard_errors
+from .planned_plant import PlannedPlant, pole_tables, positive_for_each, standard_errors
 from .plant_information import line_sensitivities, plant_information
 
 Purpose = Literal[
@@ -154,17 +154,7 @@ class InputDesign(Report, Frozen):
                 f"  {name}: {counted(len(band), 'line')} between {band[0]:.4g} and {band[-1]:.4g} {unit}, rms "
                 f"{rms:.4g}, peak {peak:.4g}"
             )
-        d, zeta = self.values["natural_frequencies"], self.values["damping_ratios"]
-        errors = self.stderr["natural_frequencies"], self.stderr["damping_ratios"]
-        table = [["mode", f"d [{unit}]", "+-", "damping ratio", "+-", "to expect"]] * bool(len(d))
-        table += [
-            [str(l + 1), to_its_error(d[l], errors[0][l]), f"{errors[0][l]:.2g}", to_its_error(zeta[l], errors[1][l]),
-             f"{errors[1][l]:.2g}", ""] for l in range(len(d))
-        ]  # fmt: skip
-        poles = [["real pole", f"[1/{self.time_unit or 'time'}]", "+-", ""]] * bool(len(self.values["real_poles"]))
-        pairs = zip(self.values["real_poles"], self.stderr["real_poles"], strict=True)
-        poles += [["", to_its_error(pole, error), f"{error:.2g}", ""] for pole, error in pairs]
-        return "\n".join([*lines, *(aligned(table) if table else []), *(aligned(poles) if poles else [])])
+        return "\n".join([*lines, *pole_tables(self.values, self.stderr, self.time_unit, "to expect")])
 
 
 def design_input(
@@ -307,13 +297,9 @@ class _Limits:
 def _limit(name: str, value: ArrayLike | None, inputs: int) -> Array:
     if value is None:
         return np.full(inputs, np.inf)
-    limit = _checks.real_array(name, value)
-    if limit.shape not in ((), (inputs,)) or np.any(limit <= 0):
-        raise StructureError(
-            f"{name} is {_checks.shown(value)}; it must be positive, a number or one for each of {inputs} inputs"
-        )
-    _checks.in_range(name, np.atleast_1d(limit))
-    return np.array(np.broadcast_to(limit, inputs), float)
+    limit = positive_for_each(name, value, inputs, "inputs")
+    _checks.in_range(name, limit)
+    return limit
 
 
 @dataclass(frozen=True)

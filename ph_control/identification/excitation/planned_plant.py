@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from ... import _checks
+from ..._display import aligned, to_its_error
 from ..._frozen import ReadOnlyMapping
 from ..._options import Discretisation, Interpolation
 from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask
-from ..._units import common_unit, hertz_size
+from ..._units import common_unit, hertz_size, rate
 from ...exceptions import StructureError
 from ...modal.modal_form import ModalForm
 from ...systems.port_hamiltonian import modes
@@ -153,8 +155,7 @@ class PlannedPlant:
                     "at this step, as a standard deviation for each output"
                 )
             return noise
-        deviations = np.broadcast_to(_checked_deviations(given, self.outputs), self.outputs)
-        return NoiseModel(np.diag(deviations**2), dt)
+        return NoiseModel(np.diag(positive_for_each("noise_std", given, self.outputs, "outputs") ** 2), dt)
 
     # --- what is unknown ----------------------------------------------------------------------------------------------
 
@@ -269,13 +270,30 @@ def standard_errors(information: Information, rows: Array) -> Array:
     return np.where(lost, np.inf, errors)
 
 
-def _checked_deviations(value: ArrayLike, outputs: int) -> Array:
-    deviations = _checks.real_array("noise_std", value)
-    if deviations.shape not in ((), (outputs,)) or np.any(deviations <= 0):
+def positive_for_each(name: str, value: ArrayLike, count: int, channels: str) -> Array:
+    """Check positive numbers (count,) of channels, one for all or one for each."""
+    given = _checks.real_array(name, value)
+    if given.shape not in ((), (count,)) or np.any(given <= 0):
         raise StructureError(
-            f"noise_std is {_checks.shown(value)}; it must be positive, a number or one for each of {outputs} outputs"
+            f"{name} is {_checks.shown(value)}; it must be positive, a number or one for each of {count} {channels}"
         )
-    return deviations
+    return np.array(np.broadcast_to(given, count), float)
+
+
+def pole_tables(values: Mapping[str, Any], stderr: Mapping[str, Any], time_unit: str | None, last: str) -> list[str]:
+    """Tables of modes, with a title of their `last` column, and of real poles, with their standard errors."""
+
+    def cells(l: int, *names: str) -> list[str]:
+        pairs = ((values[name][l], stderr[name][l]) for name in names)
+        return [text for value, error in pairs
+                for text in (to_its_error(value, error), "-" if np.isnan(error) else f"{error:.2g}")]  # fmt: skip
+
+    modes = [["mode", f"d [{rate(time_unit)}]", "+-", "damping ratio", "+-", last]]
+    modes += [[str(l + 1), *cells(l, "natural_frequencies", "damping_ratios"), ""]
+              for l in range(len(values["natural_frequencies"]))]  # fmt: skip
+    poles = [["real pole", f"[1/{time_unit or 'time'}]", "+-", ""]]
+    poles += [["", *cells(l, "real_poles"), ""] for l in range(len(values["real_poles"]))]
+    return [line for table in (modes, poles) if len(table) > 1 for line in aligned(table)]
 
 
 def acting_together(noise: NoiseModel) -> list[Indices]:

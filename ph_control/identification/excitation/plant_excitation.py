@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..._display import Report, aligned, counted, counted_poles, to_its_error
+from ..._display import Report, counted, counted_poles
 from ..._frozen import Frozen
 from ..._options import Discretisation, Interpolation
 from ..._types import ArrayLike, ComplexArray
@@ -21,7 +21,7 @@ from ..data.experiments import as_channels
 from ..uncertainty.fisher import Information, listed, named_modes
 from ..uncertainty.noise_model import NoiseModel
 from .excited_band import ExcitedBand, excited_band
-from .planned_plant import PlannedPlant
+from .planned_plant import PlannedPlant, pole_tables
 from .plant_information import RecordSensitivities, plant_information
 from .remedy import multisine
 from .report import OfInformation
@@ -185,22 +185,8 @@ class PlantExcitation(OfInformation, Report, Frozen):
             *(f"  {name:{width}}{text}" for name, text in rows),
         ]
         text = textwrap.wrap(self.details, 100, initial_indent="  ", subsequent_indent="  ")
-        return "\n".join([*lines, "", *self._table(), *([""] * bool(text)), *text])
-
-    def _table(self) -> list[str]:
-        unit, table = rate(self.time_unit), []
-        if self.n:
-            rows = [[str(l + 1), *self._row("natural_frequencies", l), *self._row("damping_ratios", l), ""]
-                    for l in range(self.n)]  # fmt: skip
-            table += aligned([["mode", f"d [{unit}]", "+-", "damping ratio", "+-", ""], *rows])
-        if len(self.poles) > self.n:
-            rows = [["", *self._row("real_poles", l), ""] for l in range(len(self.poles) - self.n)]
-            table += aligned([["real pole", f"[1/{self.time_unit or 'time'}]", "+-", ""], *rows])
-        return table
-
-    def _row(self, key: str, l: int) -> list[str]:
-        value, error = float(self.values[key][l]), float(self.stderr[key][l])
-        return [to_its_error(value, error), "-" if np.isnan(error) else f"{error:.2g}"]
+        tables = pole_tables(self.values, self.stderr, self.time_unit, "")
+        return "\n".join([*lines, "", *tables, *([""] * bool(text)), *text])
 
 
 def _reasons(report: PlantExcitation) -> Iterator[str]:
