@@ -14,12 +14,13 @@ from functools import cached_property
 from typing import Any, Literal, get_args
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
 from ... import _checks
 from ..._display import Report, aligned, counted, p_value, to_its_error
 from ..._frozen import Frozen
-from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask
+from ..._types import Array, ArrayLike, ComplexArray, Indices, Mask, NDArray
 from ..._units import hertz_size
 from ...exceptions import StructureError
 from ...numerics.modal_assurance import mac
@@ -315,37 +316,26 @@ class _FittedTarget:
 
     def numbers(self, model: PhysicalModes, places: Indices) -> Array:
         """What is compared, of the modes of a model at some places; shapes as they are apart from the fitted ones."""
-        poles, n = model.poles[places], len(places)
-        parts = []
-        if "natural_frequencies" in self.quantities:
-            parts.append(np.abs(poles))
-        if "damping_ratios" in self.quantities:
-            parts.append(-poles.real / np.abs(poles))
-        if "residues" in self.quantities:
-            residues = model.residues[places][:, self.outputs].reshape(n, -1).ravel()
-            parts += [residues.real, residues.imag]
-        if "shapes" in self.quantities:
-            for shape, mine, tangent in zip(
-                model.shapes[places][:, self.outputs], self._motion, self._tangents, strict=True
-            ):
-                along = np.vdot(mine, shape) / np.vdot(mine, mine).real
-                apart = tangent.conj().T @ shape / (along if along else 1.0)
-                parts += [apart.real, apart.imag]
-        return np.concatenate(parts)
+        apart = []
+        shapes = zip(model.shapes[places][:, self.outputs], self._motion, self._tangents, strict=True)
+        for shape, mine, tangent in shapes if "shapes" in self.quantities else ():
+            along = np.vdot(mine, shape) / np.vdot(mine, mine).real
+            apart.append(tangent.conj().T @ shape / (along if along else 1.0))
+        return self._compared(model.poles[places], model.residues[places][:, self.outputs], apart)
 
     @cached_property
     def goal(self) -> Array:
         """The same of the fit."""
-        n, parts = len(self.poles), []
-        if "natural_frequencies" in self.quantities:
-            parts.append(np.abs(self.poles))
-        if "damping_ratios" in self.quantities:
-            parts.append(-self.poles.real / np.abs(self.poles))
-        if "residues" in self.quantities:
-            parts += [self.residues.real.ravel(), self.residues.imag.ravel()]
-        if "shapes" in self.quantities:
-            parts.append(np.zeros(2 * n * (self._motion.shape[1] - 1)))
-        return np.concatenate(parts)
+        return self._compared(self.poles, self.residues, [np.zeros(self._motion.shape[1] - 1)] * len(self.poles))
+
+    def _compared(self, poles: ComplexArray, residues: ComplexArray, apart: Sequence[NDArray[Any]]) -> Array:
+        """What is compared of poles (n,), residues (n, p, m), and what each shape is apart from the fitted one."""
+        every = {
+            "natural_frequencies": [np.abs(poles)], "damping_ratios": [-poles.real / np.abs(poles)],
+            "residues": [residues.real.ravel(), residues.imag.ravel()],
+            "shapes": [part for each in apart for part in (each.real, each.imag)],
+        }  # fmt: skip
+        return np.concatenate([part for name, parts in every.items() if name in self.quantities for part in parts])
 
     @cached_property
     def whitening(self) -> Array:
@@ -373,7 +363,7 @@ class _FittedTarget:
         ])  # fmt: skip
         C = self.covariance[np.ix_(kept, kept)]
         if "shapes" in self.quantities:
-            C = _beside(C, *(self._shape_covariance(k) for k in range(n)))
+            C = block_diag(C, *(self._shape_covariance(k) for k in range(n)))
         known = np.isfinite(np.diag(C)) & (np.diag(C) > 0)
         deviations = np.sqrt(np.diag(C)[known])
         values, vectors = np.linalg.eigh(C[np.ix_(known, known)] / np.outer(deviations, deviations))
@@ -390,16 +380,6 @@ class _FittedTarget:
         H = self._tangents[k].conj().T
         turn = np.block([[H.real, -H.imag], [H.imag, H.real]])
         return np.asarray((turn * errors**2) @ turn.T)
-
-
-def _beside(*blocks: Array) -> Array:
-    """Blocks along a diagonal."""
-    size = sum(len(block) for block in blocks)
-    joined, first = np.zeros((size, size)), 0
-    for block in blocks:
-        joined[first : first + len(block), first : first + len(block)] = block
-        first += len(block)
-    return joined
 
 
 def _places(name: str, value: object, count: int) -> Indices:
