@@ -428,8 +428,12 @@ class FreeProjection(LinearProjection):
         """Sum of squared residuals of each output."""
         losses = np.zeros(sum(len(group.outputs) for group in self._groups))
         for group in self._groups:
-            losses[group.outputs] = np.sum(without(group.targets, group.basis) ** 2, axis=0)
+            losses[group.outputs] = np.sum(self._residual(group) ** 2, axis=0)
         return losses
+
+    def _residual(self, group: _OutputGroup) -> Array:
+        """What is left of the outputs of a group."""
+        return without(group.targets, group.basis)
 
     @cached_property
     def loss(self) -> float:
@@ -587,19 +591,6 @@ class GivenResidues(FreeProjection):
     def __init__(self, projection: FreeProjection, shared: Array) -> None:
         super().__init__(projection.experiments, projection.p, projection.fed, projection.sections)
         self._parts, self._groups, self.shared = projection._parts, projection._groups, shared
-
-    @cached_property
-    def loss(self) -> float:
-        """Sum of squared residuals of all outputs."""
-        return float(self.losses.sum())
-
-    @cached_property
-    def losses(self) -> Array:
-        """Sum of squared residuals of each output."""
-        losses = np.zeros(sum(len(group.outputs) for group in self._groups))
-        for group in self._groups:
-            losses[group.outputs] = np.sum(self._residual(group) ** 2, axis=0)
-        return losses
 
     @cached_property
     def condensed(self) -> tuple[Array, Array]:
