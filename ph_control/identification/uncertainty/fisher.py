@@ -290,10 +290,16 @@ def model_information(problem: PortRecord, d: Array, r: Array, amplitudes: Compl
 
     `amplitudes` (n,) are the modal states `x_l(0)`, whose real parts are the free motion at the output.
     """
-    n = len(d)
+    n, samples, h = len(d), len(problem.u), problem.hold.h
     jacobian = problem.seen(problem.sensitivities(d, r * d, amplitudes))
-    kept = 2 * n if problem.from_rest else 4 * n
-    return information_of(problem, jacobian[:, :kept], d, r, amplitudes)
+    J = in_weights(jacobian[:, : 2 * n if problem.from_rest else 4 * n], d, r)
+    forced, free = _state_sizes(problem, d)
+    forced = forced * np.abs(output_weight(d, problem.quantity))
+    moving = r * d * forced + np.abs(amplitudes) * free
+    sizes = [samples * h * moving + r * forced, d * forced] + ([] if problem.from_rest else [free, free])
+    return Information.of(
+        J, parameter_names(n, problem.from_rest), rows=len(problem.target), sizes=np.concatenate(sizes)
+    )
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -316,20 +322,6 @@ def _of_modes(jacobian: Array, n: int, samples: int) -> Array:
     return eliminate(reduced(np.asfortranarray(ordered)), own, samples).below
 
 
-@np.errstate(over="ignore", invalid="ignore")
-def information_of(problem: PortRecord, jacobian: Array, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
-    """Information at a model from the sensitivities to `(d, kappa, Re x(0), Im x(0))`, or from the R of their QR."""
-    n, samples, h = len(d), len(problem.u), problem.hold.h
-    J = in_weights(jacobian, d, r)
-    forced, free = _state_sizes(problem, d)
-    forced = forced * np.abs(output_weight(d, problem.quantity))
-    moving = r * d * forced + np.abs(amplitudes) * free
-    sizes = [samples * h * moving + r * forced, d * forced] + ([] if problem.from_rest else [free, free])
-    return Information.of(
-        J, parameter_names(n, problem.from_rest), rows=len(problem.target), sizes=np.concatenate(sizes)
-    )
-
-
 def _state_sizes(problem: PortRecord, d: Array) -> tuple[Array, Array]:
     """Norms of the complex modal states, driven by the input and free; outputs are their real parts."""
     kernel = Kernel(SampledModes.of(problem.hold, imaginary(d)))
@@ -343,7 +335,7 @@ def _state_sizes(problem: PortRecord, d: Array) -> tuple[Array, Array]:
 
 
 def in_weights(jacobian: Array, d: Array, r: Array) -> Array:
-    """Sensitivities to `(d, r, ...)` from those to `(d, kappa, ...)`, with `kappa = r d`; also of their R factor."""
+    """Sensitivities to `(d, r, ...)` from those to `(d, kappa, ...)`, with `kappa = r d`."""
     n = len(d)
     J = np.array(jacobian)
     J[:, :n] += r * jacobian[:, n : 2 * n]

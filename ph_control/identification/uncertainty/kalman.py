@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from ..._types import Array, Indices, Mask
+from ..._types import Array, Mask
 from ...exceptions import StructureError
 from ...modal.discretization import Hold, MatrixStep
 from ...modal.propagation import step_through
@@ -268,7 +268,9 @@ def _past_of(plant: NoisyPlant) -> Mask:
 
 def _parts(A: Array) -> list[Mask]:
     """For each state (n,), those that act on one another with it."""
-    labels = _connected(A)
+    from scipy.sparse.csgraph import connected_components
+
+    labels = connected_components(A != 0, directed=False)[1]
     return [labels == label for label in labels]
 
 
@@ -379,10 +381,3 @@ class _Taps:
                 "record"
             )
         return taps
-
-
-def _connected(A: Array) -> Indices:
-    """Number of the part (n,) that each state belongs to, where parts do not act on one another."""
-    from scipy.sparse.csgraph import connected_components
-
-    return np.asarray(connected_components(A != 0, directed=False)[1])
