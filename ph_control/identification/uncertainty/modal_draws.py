@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ... import _checks
-from ..._types import Array, ArrayLike, ComplexArray, Mask, Numbers
+from ..._types import Array, ArrayLike, ComplexArray, Numbers
 from ...exceptions import StructureError
 from ..regression.prediction import ResponseBackground
 from .draws import Draws
@@ -117,10 +117,7 @@ class ModalSamples(Draws):
         >>> samples.freqresp([0.0]).round(3)
         array([[0.099+0.j]])
         """
-        response, is_pole = self._response(output, input), self._is_pole(output, input)
-        tables = self._tables(
-            "omega", omega, lambda w, p: np.where(is_pole(w, p), complex(np.inf, 0.0), response(w, p))
-        )
+        tables = self._responses(omega, output, input)
         return np.concatenate([np.empty((0, len(self)), complex), *tables]).T
 
     def magnitude_band(self, omega: ArrayLike, level: float = 0.95, output: int = 0, input: int = 0) -> Array:
@@ -160,9 +157,7 @@ class ModalSamples(Draws):
         array([[5.27],
                [5.77]])
         """
-        response, is_pole = self._response(output, input), self._is_pole(output, input)
-        gains = self._tables("omega", omega, lambda w, p: np.where(is_pole(w, p), np.inf, np.abs(response(w, p))))
-        return self._percentiles(gains, level)
+        return self._percentiles(map(np.abs, self._responses(omega, output, input)), level)
 
     def phase_band(self, omega: ArrayLike, level: float = 0.95, output: int = 0, input: int = 0) -> Array:
         """Band of the phase from an input to an output, in degrees, about the direction of the mean.
@@ -196,7 +191,7 @@ class ModalSamples(Draws):
             centre = np.angle(np.sum(G / np.where(sizes > 0, sizes, 1.0), axis=1, keepdims=True))
             return np.degrees(centre + np.angle(G * np.exp(-1j * centre)))
 
-        return self._percentiles(map(degrees, self._tables("omega", omega, self._response(output, input))), level)
+        return self._percentiles(map(degrees, self._responses(omega, output, input, above=True)), level)
 
     def step_band(self, time: ArrayLike, level: float = 0.95, output: int = 0, input: int = 0) -> Array:
         """Band of the response of an output to a unit step of an input: percentiles over the draws.
@@ -226,15 +221,11 @@ class ModalSamples(Draws):
         array([[0.],
                [0.]])
         """
-        (residues, through), late = self._entry(output, input), self.delay[output] + self.input_delay[input]
 
-        def step(t: Array, p: ComplexArray) -> Array:
-            weights, after = np.where(p.imag == 0, 1, 2) * residues, np.maximum(t - late, 0.0)
-            each = np.where(p == 0, after, np.expm1(p * after) / np.where(p == 0, 1.0, p))
-            moved = np.sum((weights * each).real, axis=-1)
-            return np.where(t[..., 0] < late, 0.0, moved + through)
+        def step(t: Array, p: ComplexArray) -> ComplexArray:
+            return np.where(p == 0, t, np.expm1(p * t) / np.where(p == 0, 1.0, p))
 
-        return self._percentiles(self._tables("time", time, step), level)
+        return self._percentiles(self._motions(step, time, output, input, self._entry(output, input)[1]), level)
 
     def impulse_band(self, time: ArrayLike, level: float = 0.95, output: int = 0, input: int = 0) -> Array:
         """Band of the response of an output to a unit impulse of an input, without what is fed through at once.
@@ -262,14 +253,7 @@ class ModalSamples(Draws):
         array([[1.05],
                [1.15]])
         """
-        (residues, _), late = self._entry(output, input), self.delay[output] + self.input_delay[input]
-
-        def impulse(t: Array, p: ComplexArray) -> Array:
-            weights = np.where(p.imag == 0, 1, 2) * residues
-            moved = np.sum((weights * np.exp(p * np.maximum(t - late, 0.0))).real, axis=-1)
-            return np.where(t[..., 0] < late, 0.0, moved)
-
-        return self._percentiles(self._tables("time", time, impulse), level)
+        return self._percentiles(self._motions(lambda t, p: np.exp(p * t), time, output, input), level)
 
     def _entry(self, output: int, input: int) -> tuple[ComplexArray, Array]:
         """Residues (k, n) and feedthrough (k,) of an entry."""
@@ -278,13 +262,22 @@ class ModalSamples(Draws):
                 raise StructureError(f"{name} is {value}; these models have {count}, counted from 0")
         return self.residues[:, :, output, input], self.feedthrough[:, output, input]
 
-    def _is_pole(self, output: int, input: int) -> Callable[[Array, ComplexArray], Mask]:
-        """Whether draws have a pole at frequencies, of a residue that is not 0."""
-        shown = self._entry(output, input)[0] != 0
-        return lambda w, p: np.any(((1j * w == p) | (1j * w == p.conj())) & shown, axis=-1)
+    def _motions(
+        self, of_mode: Callable[[Array, ComplexArray], ComplexArray], time: ArrayLike, output: int, input: int,
+        through: Array | float = 0.0,
+    ) -> Iterator[Array]:  # fmt: skip
+        """Sums over the modes of their motions at instants (K, k), and what is fed `through`; 0 before they come."""
+        residues, late = self._entry(output, input)[0], self.delay[output] + self.input_delay[input]
 
-    def _response(self, output: int, input: int) -> Callable[[Array, ComplexArray], ComplexArray]:
-        """Response of every draw at frequencies; at a pole that just above."""
+        def moved(t: Array, p: ComplexArray) -> Array:
+            weights = np.where(p.imag == 0, 1, 2) * residues
+            motion = np.sum((weights * of_mode(np.maximum(t - late, 0.0), p)).real, axis=-1)
+            return np.where(t[..., 0] < late, 0.0, motion + through)
+
+        return self._tables("time", time, moved)
+
+    def _responses(self, omega: ArrayLike, output: int, input: int, above: bool = False) -> Iterator[ComplexArray]:
+        """Responses of every draw at frequencies (K, k); infinite at a pole that is shown, or that just `above`."""
         residues, through = self._entry(output, input)
 
         def response(w: Array, p: ComplexArray) -> ComplexArray:
@@ -295,9 +288,11 @@ class ModalSamples(Draws):
             if self.background is not None:
                 values = values + self.background.entry(output, input).response(w.ravel())[0, 0][:, None]
             late = self.delay[output] + self.input_delay[input]
-            return np.asarray(values * np.exp(-1j * late * w[..., 0]))
+            values = values * np.exp(-1j * late * w[..., 0])
+            is_pole = np.any(((1j * w == p) | (1j * w == p.conj())) & (residues != 0), axis=-1)
+            return np.where(is_pole & (not above), complex(np.inf, 0.0), values)
 
-        return response
+        return self._tables("omega", omega, response)
 
     def _tables(
         self, name: str, points: ArrayLike, values: Callable[[Array, ComplexArray], Numbers]
