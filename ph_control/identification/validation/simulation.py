@@ -248,23 +248,26 @@ def _simulation_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules)
             f"the record has the step {record.dt:.6g}, model {label!r} was fitted with method={model.method!r} at the "
             f"step {steps[0]:.6g}, and holds at that step only"
         )
-    data: Any = several(record)
-    outputs, inputs = _matching_channels(model, label, data)
-    # in the order of the model, and back
-    u = np.zeros((len(inputs), data.samples))
-    u[inputs] = data.u if len(data.u) else 0.0
-    y = np.empty_like(data.y)
-    y[outputs] = data.y
+    data, outputs = _in_order_of(model, label, record)
     state = "estimate" if rules.initial_state == "zero" and not data.driven else rules.initial_state
-    prediction = model.predict(replace(data, u=u, y=y, input_labels=model.input_labels), initial_state=state)
-    output = np.reshape(prediction.outputs, (len(outputs), -1))[outputs]
+    output = np.reshape(model.predict(data, initial_state=state).outputs, (len(outputs), -1))
     if state == "zero" and model.offsets.any():
         # a constant is that of the sensor, whatever the plant does
         output = output + np.nanmean(np.where(data.observed, data.y - output, np.nan), axis=1, keepdims=True)
-    output = output[0] if isinstance(record, Record) else output
+    output = output[0] if isinstance(record, Record) else output[outputs]
     return Simulation(
         output, lambda: _no_directions(record) if place is None else _own_directions(model, place), place is not None
     )
+
+
+def _in_order_of(model: PEMResult, label: str, record: Record | Recording) -> tuple[Recording, Indices]:
+    """A recording with its channels in the order of a fit, and the places of its outputs there; u is 0 without any."""
+    data = several(record)
+    outputs, inputs = _matching_channels(model, label, data)
+    u, y = np.zeros((len(inputs), data.samples)), np.empty_like(data.y)
+    u[inputs] = data.u if len(data.u) else 0.0
+    y[outputs] = data.y
+    return replace(data, u=u, y=y, input_labels=model.input_labels), outputs
 
 
 def _prediction_ahead(simulation: Simulation, model: PEMResult, record: Kind, rules: Rules) -> Simulation:
@@ -272,12 +275,9 @@ def _prediction_ahead(simulation: Simulation, model: PEMResult, record: Kind, ru
     horizon = rules.horizon
     if horizon is None or isinstance(record, FrequencyRecord | ResponseMatrix) or is_simulated(model):
         return simulation
-    data: Any = several(record)
-    outputs, inputs = _matching_channels(model, "model", data)
-    u = np.zeros((len(inputs), data.samples))
-    u[inputs] = data.u if len(data.u) else 0.0
-    y, simulated = np.empty_like(data.y), np.empty_like(data.y)
-    y[outputs], simulated[outputs] = data.y, np.reshape(simulation.output, data.y.shape)
+    data, outputs = _in_order_of(model, "model", record)
+    u, y, simulated = data.u, data.y, np.empty_like(data.y)
+    simulated[outputs] = np.reshape(simulation.output, data.y.shape)
 
     def shaped(values: Array) -> Array:
         return values[outputs][0] if isinstance(record, Record) else values[outputs]
