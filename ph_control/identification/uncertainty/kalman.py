@@ -5,11 +5,13 @@ The plant is in continuous time, seen at the samples: held or linear inputs, and
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import control as ct
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import block_diag, expm
 from scipy.signal import lfilter
 
 from ..._types import Array, Mask
@@ -55,15 +57,16 @@ class NoisyPlant:
         own = noise.states if noise.apart else None
         apart = own is not None or (noise.forces is not None and plant.plants > 1)  # forces act on all outputs at once
         step, seen = (plant.A[:n, :n], system[2]) if own is None else own
-        sizes = len(plant.A), len(step) * apart, sum(orders)
-        first, second = sizes[0], sizes[0] + sizes[1]
-        count = sum(sizes)
-        A, B, C, E = np.zeros((count, count)), np.zeros((count, m)), np.zeros((p, count)), np.zeros((count, p))
-        A[:first, :first], B[:first], C[:, :first] = plant.A, plant.B, plant.C
+        first, second = len(plant.A), len(plant.A) + len(step) * apart
         by_forces = slice(first, second) if apart else slice(0, n)
-        A[by_forces, by_forces] = step
-        if apart:
-            C[:, by_forces] = seen
+        coefficients = np.zeros((p, 0)) if noise.colours is None else noise.colours
+        colours = [row[:order] for row, order in zip(coefficients, orders, strict=True)]
+        A = block_diag(plant.A, *[step] * apart, *map(_companion, colours))
+        C = np.concatenate([plant.C, *[seen] * apart, block_diag(*(row[None] for row in colours))], axis=1)
+        count = len(A)
+        B, E = np.concatenate([plant.B, np.zeros((count - first, m))]), np.zeros((count, p))
+        newest, coloured = second + np.cumsum((0, *orders[:-1])), np.flatnonzero(orders)
+        E[newest[coloured], coloured] = 1.0
         moving = np.zeros(count, bool)
         moving[: n * plant.plants] = np.tile(growing(plant.A[:n, :n]), plant.plants)
         if apart and moving.any():
@@ -76,13 +79,6 @@ class NoisyPlant:
             forces[by_forces, by_forces] = noise.forces
             moving[by_forces] |= _of_parts(step, np.diag(noise.forces) > 0)
             cross[by_forces] = 0.0 if noise.cross is None else noise.cross
-        for output, order, place in zip(range(p), orders, second + np.cumsum((0, *orders[:-1])), strict=True):
-            if order and noise.colours is not None:
-                past = slice(place, place + order)
-                A[place, past] = C[output, past] = noise.colours[output, :order]
-                earlier = np.arange(place, place + order - 1)
-                A[earlier + 1, earlier] = 1.0
-                E[place, output] = 1.0
         return cls(A, B, C, plant.D, E, noise.covariance, forces, cross, moving)
 
     @property
@@ -182,10 +178,7 @@ def steady_gain(A: Array, C: Array, Q: Array, R: Array, S: Array) -> tuple[Array
     outputs, states = _units(C, R)
     A, C, Q = A / states[:, None] * states, C * states / outputs[:, None], Q / np.outer(states, states)
     R, S = floored(R / np.outer(outputs, outputs)), S / states[:, None] / outputs
-    try:
-        P = np.asarray(ct.dare(A.T, C.T, Q, R, S)[0])
-    except _FAILED as error:
-        raise _unsolved(error) from None
+    P = _solution(ct.dare, A.T, C.T, Q, R, S)
     spread = C @ P @ C.T + R
     gain = np.linalg.solve(spread, (A @ P @ C.T + S).T).T
     return gain * states[:, None] / outputs, spread * np.outer(outputs, outputs)
@@ -213,10 +206,7 @@ def continuous_gain(A: Array, C: Array, noise: NoiseModel) -> Array:
     R = floored(noise.covariance * h / np.outer(outputs, outputs))
     A, Q = A[part] / states[:, None] * states, Q[part] / np.outer(states, states)
     C = C[:, which] * states / outputs[:, None]
-    try:
-        P = np.asarray(ct.care(A.T, C.T, Q, R)[0])
-    except _FAILED as error:
-        raise _unsolved(error) from None
+    P = _solution(ct.care, A.T, C.T, Q, R)
     gain[which] = np.linalg.solve(R, (P @ C.T).T).T * states[:, None] / outputs
     return gain
 
@@ -233,11 +223,16 @@ def foretold_colour(colours: Array, noise: Array, horizon: int) -> Array:
         for k in np.flatnonzero(np.isnan(row)).tolist():
             past = row[max(0, k - order) : k][::-1]
             row[k] = past @ coefficients[: len(past)]
-        companion = np.eye(order, k=-1)
-        companion[0] = coefficients
-        weights = np.linalg.matrix_power(companion, late + 1)[0]
+        weights = np.linalg.matrix_power(_companion(coefficients), late + 1)[0]
         out[late:] = lfilter(np.append(0.0, weights), 1.0, row)[: noise.shape[1] - late]
     return ahead
+
+
+def _companion(coefficients: Array) -> Array:
+    """Step of the past (q,) of an autoregression, the last sample first."""
+    step = np.eye(len(coefficients), k=-1)
+    step[:1] = coefficients
+    return step
 
 
 def floored(R: Array) -> Array:
@@ -246,11 +241,15 @@ def floored(R: Array) -> Array:
     return R + _FLOOR * largest * np.eye(len(R)) if largest > 0 else np.eye(len(R))
 
 
-def _unsolved(error: Exception) -> StructureError:
-    return StructureError(
-        "the Riccati equation of the filter has no stabilising solution: outputs do not show a pole that grows or that "
-        f"forces drive, or a pole that nothing drives is on the stability border ({error})"
-    )
+def _solution(solve: Callable[..., Any], *matrices: Array) -> Array:
+    """Stabilising solution of a Riccati equation."""
+    try:
+        return np.asarray(solve(*matrices)[0])
+    except _FAILED as error:
+        raise StructureError(
+            "the Riccati equation of the filter has no stabilising solution: outputs do not show a pole that grows or "
+            f"that forces drive, or a pole that nothing drives is on the stability border ({error})"
+        ) from None
 
 
 def _units(C: Array, R: Array) -> tuple[Array, Array]:
