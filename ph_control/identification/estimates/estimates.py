@@ -6,7 +6,7 @@ outputs, first states and free motions with errors, and the shapes of modes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -32,13 +32,14 @@ from ..regression.prediction import (
     state_of,
 )
 from ..regression.time_rows import FreeRecord
+from ..search.channel_rows import experiments_of
 from ..search.findings import Cause
 from ..search.fitted_modes import FreeFit
 from ..structure.coordinates import residue_of_unit_weight, weights_of
 from .covariance import FittedStructure, covariance_of, roots
 from .scaled_shapes import ModeShapes, blocks_of_modes, shape_errors
 
-_Rows = Iterator[tuple[int, tuple[Any, Any, Any]]]  # place, rows, what belongs to them alone, prediction
+_Rows = Sequence[tuple[int, Any, Any, Any]]  # place, rows, what belongs to them alone, prediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,17 +185,20 @@ def _log_density(data: FittedChannels) -> float:
 
 def _fitted_channels(structure: FittedStructure) -> tuple[FittedChannels, ...]:
     """Predictions, free motions, offsets and backgrounds of each experiment, from the rows of its outputs."""
-    projection = structure.measured
-    rows = enumerate(zip(projection.experiments, projection.own, projection.predictions(), strict=True))
+    projection, channels = structure.measured, structure.free.channels
+    parts = zip(projection.experiments, projection.own, projection.predictions(), strict=True)
+    rows: list[list[Any]] = [[] for _ in channels]
+    for k, (place, part) in enumerate(zip(experiments_of(projection.experiments, channels), parts, strict=True)):
+        rows[place].append((k, *part))
     return tuple(
-        _of_recording(structure, channel, rows) if isinstance(channel, Recording)
-        else _of_response(structure, channel, rows)
-        for channel in structure.free.channels
+        _of_recording(structure, channel, mine) if isinstance(channel, Recording)
+        else _of_response(structure, channel, mine)
+        for channel, mine in zip(channels, rows, strict=True)
     )  # fmt: skip
 
 
 def _of_recording(structure: FittedStructure, channel: Recording, rows: _Rows) -> FittedChannels:
-    """What the fit says of a recording, from the next of the rows."""
+    """What the fit says of a recording, from its rows."""
     projection, free = structure.measured, structure.free
     n, m, outputs = len(projection.p), len(channel.input_labels), len(free.scales)
     seen = channel.observed.any(axis=1)
@@ -202,12 +206,9 @@ def _of_recording(structure: FittedStructure, channel: Recording, rows: _Rows) -
     predicted[~seen] = np.nan
     motion, offsets, drifts = np.zeros((n, outputs), complex), np.zeros(outputs), np.zeros(outputs)
     errors = np.full(outputs, np.nan)
-    remaining = int(seen.sum())
-    while remaining > 0:
-        place, (part, own, values) = next(rows)
+    for place, part, own, values in rows:
         which = part.outputs
         scale = free.scales[which] * getattr(part, "unit", 1.0)
-        remaining -= len(which)
         residues = projection.residues[:, which] if n else np.zeros((0, len(which), m), complex)
         if isinstance(part, FreeRecord):
             motion[:, which] = 2 * scale * part.motion_at_start(projection.p, residues, own)[structure.rank]
@@ -249,17 +250,14 @@ def _variances_of_constants(structure: FittedStructure, place: int, rows: FreeRe
 
 
 def _of_response(structure: FittedStructure, channel: ResponseMatrix, rows: _Rows) -> FittedChannels:
-    """What the fit says of a response matrix, from the next of the rows."""
+    """What the fit says of a response matrix, from its rows."""
     free, n = structure.free, len(structure.measured.p)
     p, m, entries = len(channel.output_labels), len(channel.input_labels), len(free.scales)
     predicted = np.full((entries, channel.samples), complex(np.nan, 0.0))
     terms = np.zeros((2, 5, entries), complex)  # of the background, and their standard errors
-    remaining = int(channel.observed.reshape(entries, -1).any(axis=1).sum())
-    while remaining > 0:
-        place, (part, own, values) = next(rows)
+    for place, part, own, values in rows:
         which = part.outputs
         scale = free.scales[which] * getattr(part, "unit", 1.0)
-        remaining -= len(which)
         if isinstance(part, FreeResponse):
             spread = np.array([np.diag(inner) for inner, _ in structure.own_spreads(place)]).T
             for term, *values_of in zip(part.terms, own, np.sqrt(np.maximum(spread, 0.0)), strict=True):
@@ -366,14 +364,11 @@ def _motion_covariances(structure: FittedStructure) -> list[Array]:
     projection, fit, free = structure.measured, structure.fit, structure.free
     n, count, runs = len(fit.p), len(free.scales), len(free.channels)
     J, inner = natural_jacobian(fit.p), fit.covariance[: 2 * n, : 2 * n]
-    measured = np.cumsum([int(data.observed.any(axis=-1).sum()) for data in free.channels])
-    size, done = count * runs, 0
+    places, size = experiments_of(projection.experiments, free.channels).tolist(), count * runs
     covariances = [np.zeros((2 + 2 * size, 2 + 2 * size)) for _ in range(n)]
     for l, total in enumerate(covariances):
         total[:2, :2] = J[[l, n + l]] @ inner @ J[[l, n + l]].T
-    for k, rows in enumerate(projection.experiments):
-        place = int(np.searchsorted(measured, done, side="right"))
-        done += len(rows.outputs)
+    for k, (rows, place) in enumerate(zip(projection.experiments, places, strict=True)):
         for output, (spread, with_poles) in zip(rows.outputs.tolist(), structure.own_spreads(k), strict=True):
             scale = 2 * free.scales[output] * getattr(rows, "unit", 1.0)
             for l, total in enumerate(covariances):

@@ -191,10 +191,7 @@ def _beside_the_modes(result: PEMResult) -> dict[str, Any]:
     if not any(
         np.any(getattr(experiment, "drifts", getattr(experiment, "drift", 0.0))) for experiment in result.experiments
     ):
-        given["offset"] = any(
-            bool(np.any(getattr(experiment, "offsets", getattr(experiment, "offset", 0.0))))
-            for experiment in result.experiments
-        )
+        given["offset"] = bool(np.any(result.offsets))
     return given
 
 
