@@ -280,9 +280,9 @@ class SharedErrors:
 
     def times(self, other: SharedErrors, rows: Array) -> Array:
         """Covariance of the errors of this entry in its rows with those of another, times some of its rows (2 K, k)."""
-        weighted = _as_complex(other.factor.turned_back(rows))
+        real, imaginary = np.split(other.factor.turned_back(rows), 2)
         values = np.zeros((self.law.noise.shape[1], rows.shape[1]), complex)
-        values[other.lines - self.law.first] = weighted
+        values[other.lines - self.law.first] = real + 1j * imaginary
         (a, i), (b, j) = self.entry, other.entry
         relation, transposed_relation = (
             self.law.band_relation(self.entry, other.entry),
@@ -292,7 +292,8 @@ class SharedErrors:
         if i == j:
             products = products + _banded(self.law.motion[a, b], self.law.motion[b, a].conj(), values)
         covariance = 0.5 * products[self.lines - self.law.first]
-        return _as_real(self.factor.whitened(covariance.T).T)
+        white = self.factor.whitened(covariance.T).T
+        return np.concatenate([white.real, white.imag])
 
 
 def _banded(ahead: ComplexArray, behind: ComplexArray, values: ComplexArray) -> ComplexArray:
@@ -302,16 +303,6 @@ def _banded(ahead: ComplexArray, behind: ComplexArray, values: ComplexArray) -> 
         product[d:] += ahead[d, :-d, None] * values[:-d]
         product[:-d] += behind[d, :-d, None] * values[d:]
     return product
-
-
-def _as_complex(parts: Array) -> ComplexArray:
-    """Real parts, then imaginary ones, as complex numbers."""
-    half = len(parts) // 2
-    return np.asarray(parts[:half] + 1j * parts[half:])
-
-
-def _as_real(values: ComplexArray) -> Array:
-    return np.concatenate([values.real, values.imag])
 
 
 def have_shared_errors(experiments: Sequence[Any]) -> bool:

@@ -304,17 +304,15 @@ def unit_norm(error: RealOrComplex, unit: float) -> float:
     return float(np.linalg.norm(error / largest)) * (largest / unit) if largest else 0.0
 
 
-def state_from_amplitudes(modes: ModalForm, amplitudes: ComplexArray, quantity: str = "velocity") -> Array:
-    """State in Williamson coordinates from the free motion of each mode at the output; 0 where `r` is 0."""
-    gain = output_gain(modes, quantity)
-    x = np.where(gain == 0, 0.0, amplitudes / np.where(gain == 0, 1.0, gain))
-    return np.concatenate([x.real, x.imag])
-
-
 def state_of(poles: ComplexArray, motion: ComplexArray, quantity: str, r: Array | None = None) -> Array:
-    """State (2n + r,) of free motions at the output; of lossless modes with weights `r` in Williamson coordinates."""
+    """State (2n + r,) of free motions at the output; of lossless modes with weights `r` in Williamson coordinates.
+
+    There it is 0 where `r` is.
+    """
     if r is not None:
-        return state_from_amplitudes(from_frequencies(poles.imag, r), motion.conj(), quantity)
+        gain = output_gain(from_frequencies(poles.imag, r), quantity)
+        x = np.where(gain == 0, 0.0, motion.conj() / np.where(gain == 0, 1.0, gain))
+        return np.concatenate([x.real, x.imag])
     kept = np.stack([poles == poles, poles.imag != 0], axis=1)
     return np.stack([motion.real, motion.imag], axis=1)[kept]
 

@@ -85,21 +85,6 @@ class ChannelSpectra:
         last = np.abs(transform[..., -1]) ** 2 if self.length % 2 == 0 else 0.0
         return np.asarray((2 * inside + np.abs(transform[..., 0]) ** 2 + last) / self.length)
 
-    def residual(
-        self, Y: ComplexArray, U: ComplexArray, modes: SampledModes, residues: RealOrComplex, motion: ComplexArray,
-        through: Array,
-    ) -> ComplexArray:  # fmt: skip
-        """Transforms of outputs (q, K) without what modes explain of them; O(T n q) time.
-
-        Modes with `residues` (n, q, m) of inputs (m, K), motions (n, q), and what is fed `through` (q, m).
-        """
-        residual = Y.copy()
-        size = max(1, TUNING.piece // max(1, motion.size))
-        for first in range(0, residual.shape[1], size):
-            bins = np.arange(first, min(first + size, residual.shape[1]))
-            residual[:, bins] -= TransformColumns(self.length, modes, bins).output(U, residues, motion, through)
-        return residual
-
     @cached_property
     def direct(self) -> ComplexArray:
         """Transforms of the inputs as the outputs meet them."""
@@ -109,9 +94,15 @@ class ChannelSpectra:
     def unexplained(
         self, p: ComplexArray, residues: RealOrComplex, motion: ComplexArray, through: Array
     ) -> ComplexArray:
-        """Transforms of the outputs (q, K) without what modes explain of them."""
-        modes = self.record.modes(p)
-        residuals = self.residual(self.Y, self.U, modes, residues, motion, through * (self.ahead is None))
+        """Transforms of the outputs (q, K) without what modes explain of them; O(T n q) time.
+
+        Modes with `residues` (n, q, m), motions (n, q), and what is fed `through` (q, m).
+        """
+        modes, residuals, at_once = self.record.modes(p), self.Y.copy(), through * (self.ahead is None)
+        size = max(1, TUNING.piece // max(1, motion.size))
+        for first in range(0, residuals.shape[1], size):
+            bins = np.arange(first, min(first + size, residuals.shape[1]))
+            residuals[:, bins] -= TransformColumns(self.length, modes, bins).output(self.U, residues, motion, at_once)
         if self.ahead is None or modes.ahead is None:
             return residuals
         seen = 2 * np.einsum("lqi,l->qi", residues, modes.ahead).real
