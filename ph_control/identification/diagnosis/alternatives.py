@@ -10,13 +10,11 @@ import numpy as np
 from ..._types import Array, ComplexArray
 from ..data.channels import Channels, Recording
 from ..data.time_record import is_long
-from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from ..search.channel_rows import experiments_of
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from .hum import Tones, lines_in, tones_in, undriven
-from .noise_levels import changing_levels, findings_of, in_equal_noise, level_of
+from .noise_levels import changing_levels, findings_of, in_equal_noise, level_of, records_of
 
 _REWEIGHTINGS = 16  # of rounded outputs by what is predicted of them
 _UNMOVED = 3e-3  # steps of rounding: what a reweighting may move predictions by at the end
@@ -129,10 +127,7 @@ def _predicted(latest: Searched) -> list[tuple[Recording, Array]]:
     free = latest.free
     recordings = [channel for channel in latest.channels if isinstance(channel, Recording)]
     predicted = [np.full(data.y.shape, np.nan) for data in recordings]
-    records = free.projection.experiments
-    places = experiments_of(records, latest.channels).tolist()
-    for record, outputs, place in zip(records, free.projection.predictions(), places, strict=True):
-        assert isinstance(record, FreeRecord)
+    for place, record, outputs in records_of(free.projection, latest.channels):
         sizes = free.scales[record.outputs, None] * record.unit
         predicted[place][record.outputs] = record.placed(outputs) * sizes
     return list(zip(recordings, predicted, strict=True))

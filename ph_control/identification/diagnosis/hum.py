@@ -19,6 +19,7 @@ from ..regression.tuning import TUNING
 from ..search.channel_rows import experiments_of
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
+from .noise_levels import records_of
 
 _STILL = 3.0  # over the length of a record: the decay rate that a tone may seem to have
 _LARGEST = 1 << 24  # samples of all outputs beyond which nothing is said of tones
@@ -120,8 +121,7 @@ def lines_in(fit: FreeFit, share: float = 0.0) -> Array:
         return np.zeros(0)
     frequencies: list[float] = []
     measured = fit.projection if fit.measured is None else fit.measured
-    for record, predicted in zip(measured.experiments, measured.predictions(), strict=True):
-        assert isinstance(record, FreeRecord)
+    for _, record, predicted in records_of(measured, fit.channels):
         count, last = len(record.outputs), (record.length - 1) // 2
         if last < 4 * _BESIDE:
             continue
@@ -168,10 +168,8 @@ def tones_in(fit: FreeFit, frequencies: Array) -> Tones:
             assert isinstance(record, FreeRecord)
             known = tones.signals(channels)[place] - np.broadcast_to(channels[place].hum, channels[place].y.shape)
             beside.append(record.without(known[record.outputs] / channels[place].unit))
-        predictions = FreeProjection(beside, driven, measured.fed).predictions()
         remainders: list[Any] = [np.full(channel.y.shape, np.nan) for channel in channels]
-        for (record, place), predicted in zip(parts, predictions, strict=True):
-            assert isinstance(record, FreeRecord)
+        for place, record, predicted in records_of(FreeProjection(beside, driven, measured.fed), channels):
             channel, outputs = channels[place], record.outputs
             rest = channel.y[outputs] - fit.scales[outputs, None] * record.placed(predicted)
             remainders[place][outputs] = channel.unit * rest + np.broadcast_to(channel.hum, channel.y.shape)[outputs]

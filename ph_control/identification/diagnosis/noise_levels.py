@@ -6,7 +6,7 @@ large the noise of each is beside that of the others.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -16,6 +16,7 @@ from scipy.stats import norm, t
 from ..._types import Array, Indices, Mask, RealOrComplex
 from ..data.channels import Recording, ResponseMatrix
 from ..data.time_record import LONG, Signal, blocks, is_long
+from ..regression.free import FreeProjection
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.channel_rows import Experiments, experiments_of
@@ -55,6 +56,14 @@ _RESTS = 20, 4.0  # samples of one value, and times as many as elsewhere, of an 
 _EFFICIENCY = 0.37  # of the median of absolute values beside the mean of squares
 
 
+def records_of(projection: FreeProjection, channels: Experiments) -> Iterator[tuple[int, FreeRecord, Array]]:
+    """Which experiment each of the rows of recordings is from, the rows, and what is predicted of their outputs."""
+    places = experiments_of(projection.experiments, channels).tolist()
+    for place, record, predicted in zip(places, projection.experiments, projection.predictions(), strict=True):
+        assert isinstance(record, FreeRecord)
+        yield place, record, predicted
+
+
 def changing_levels(fit: FreeFit) -> tuple[Array | None, ...] | None:
     """Level of the noise of each recording (p, T), None where it is the same; None where that is so in all.
 
@@ -65,9 +74,7 @@ def changing_levels(fit: FreeFit) -> tuple[Array | None, ...] | None:
     if unfit or not all(isinstance(channel, Recording) for channel in channels):
         return None
     noise: list[Array] = [np.full(channel.y.shape, np.nan) for channel in channels]
-    places = experiments_of(fit.projection.experiments, channels).tolist()
-    for record, predicted, place in zip(fit.projection.experiments, fit.projection.predictions(), places, strict=True):
-        assert isinstance(record, FreeRecord)
+    for place, record, predicted in records_of(fit.projection, channels):
         channel, level = channels[place], 1.0 if record.level is None else record.level
         first = channel.samples - record.length if record.whole_record is None else record.whole_record.first
         residuals = level * np.stack([_innovations(each) for each in record.residuals(predicted)])
@@ -335,10 +342,7 @@ def _squares(fit: FreeFit) -> tuple[Array, Array]:
             squares[place] = channels[place].unit ** 2 * np.sum(errors**2, axis=1)
             counts[place] = errors.shape[1]
         return squares, counts
-    places = experiments_of(fit.projection.experiments, channels)
-    rows = zip(fit.projection.experiments, fit.projection.predictions(), places.tolist(), strict=True)
-    for record, predicted, place in rows:
-        assert isinstance(record, FreeRecord)
+    for place, record, predicted in records_of(fit.projection, channels):
         residuals = record.residuals(predicted)
         squares[place, record.outputs] += channels[place].unit ** 2 * np.sum(residuals**2, axis=1)
         counts[place, record.outputs] += record.samples
