@@ -376,17 +376,13 @@ def _linear_motions(model: Model, label: str, record: Record | Recording, hold: 
             "one of them, or pass the continuous-time model"
         )
     growth = float(np.max(np.abs(np.linalg.eigvals(step.F)), initial=0.0))
-    multichannel = isinstance(record, Recording)
-    u = np.atleast_2d(record.u)
-    if multichannel:
-        rows, columns = _matching_channels(model, label, record)
-        u, C, D = np.zeros((len(columns), record.samples)), C[rows], D[rows]
-        u[columns] = record.u if len(record.u) else 0.0
+    rows, columns = _matching_channels(system, label, record)
+    u, C, D = np.zeros((len(columns), record.samples)), C[rows], D[rows]
+    u[columns] = record.u if len(record.u) else 0.0
     with np.errstate(over="ignore", invalid="ignore"):
         forced = C @ step_through(step, u) + D @ u
-    if multichannel:
-        return Motions(forced, lambda: _free_motions(step.F, C, record.samples), growth)
-    return Motions(forced[0], lambda: _free_motions(step.F, C, record.samples)[0], growth)
+    outputs = slice(None) if isinstance(record, Recording) else 0
+    return Motions(forced[outputs], lambda: _free_motions(step.F, C, record.samples)[outputs], growth)
 
 
 @np.errstate(over="ignore", invalid="ignore")
