@@ -150,8 +150,7 @@ class FreeResponse:
     def target(self) -> ComplexArray:
         """Responses (q, K) that were measured, in the scale of their weights."""
         early = 1.0 if not self.delay else np.exp(1j * self.omega * self.delay)
-        measured = self.response[:, self.observed]
-        return np.asarray(measured * (self.weight * early)) if self.white is None else self.in_rows(measured * early)
+        return self.in_rows(self.response[:, self.observed] * early)
 
     def delayed(self, time: float, least: float | None = None, most: float | None = None) -> FreeResponse:
         """Responses that come so much later."""
@@ -286,8 +285,7 @@ class FreeResponseEvaluation(Evaluation):
         if rows.delay is not None:  # what is fed through changes with s, and modes by the force beside themselves
             s, felt = 1j * rows.omega, rows.direct
             derivatives += [rows.in_rows(s * felt if rows.through else felt)]
-            columns = background_columns(rows.terms, rows.omega)
-            derivatives += [s * rows.background if rows.white is None else rows.in_rows(s * columns)]
+            derivatives += [rows.in_rows(s * background_columns(rows.terms, rows.omega))]
         yield real_rows([rows.columns(self._p, peaks), *derivatives, rows.target])
 
     def predict(self, shared: Array, own: Array) -> ComplexArray:
@@ -297,7 +295,5 @@ class FreeResponseEvaluation(Evaluation):
         # other entries may be fed through, and these not
         weights = np.concatenate([own, shared[: 2 * len(self._p) + rows.through]])
         late = 1.0 if not rows.delay else np.exp(-1j * rows.omega * rows.delay)
-        values = weights.T @ rows.columns(self._p)
-        late = late / rows.weight if rows.white is None else late
-        everywhere[:, rows.observed] = (values if rows.white is None else rows.white.coloured(values)) * late
+        everywhere[:, rows.observed] = rows.out_of_rows(weights.T @ rows.columns(self._p)) * late
         return everywhere
