@@ -34,7 +34,7 @@ def free_fit(u: Array, y: Array, p: ComplexArray, through: bool = False) -> tupl
     for _ in range(3):
         rows = FreeRecord.by_observation(u, y / scales[:, None], np.ones(y.shape, bool), Hold(1.0), through=through)
         at = refine_free(lambda _, rows=rows: rows, p, region, 1e-12)
-        left = y / scales[:, None] - np.atleast_2d(at.predicted()[0])
+        left = y / scales[:, None] - at.predictions()[0]
         scales, p = scales * np.sqrt(np.mean(left**2, axis=1)), at.p
     return at, scales, region
 

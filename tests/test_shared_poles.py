@@ -68,8 +68,8 @@ def test_all_residues_and_motions_follow_from_one_record(gaps):
     assert np.allclose(at.residues, residues, rtol=0, atol=1e-9) and np.allclose(at.feedthrough, D, rtol=0, atol=1e-9)
     for one, own in zip(rows, at.own, strict=True):
         assert np.allclose(own[:2] + 1j * own[2:], start[:, one.outputs], rtol=0, atol=1e-9)
-    for one, predicted in zip(rows, at.predicted(), strict=True):
-        assert np.allclose(predicted, np.squeeze(y[one.outputs]), rtol=0, atol=1e-9)
+    for one, predicted in zip(rows, at.predictions(), strict=True):
+        assert np.allclose(predicted, y[one.outputs], rtol=0, atol=1e-9)
 
 
 def test_outputs_share_no_more_than_the_poles():
@@ -145,7 +145,7 @@ def test_all_channels_together_find_the_poles_from_nothing():
         candidates, gains = channels.modes(left)
         start = np.append(found, candidates[np.argmax(gains)])
         at = refine_free(lambda _: rows, start, PoleRegion(2 * np.pi / samples, np.pi))
-        found, left = at.p, np.fft.rfft(y - at.predicted()[0])
+        found, left = at.p, np.fft.rfft(y - at.predictions()[0])
     rank = np.argsort(found.imag)
     errors = np.sqrt(np.diag(at.covariance(at.loss / at.rows)))
     assert np.all(np.abs(found.imag[rank] - truth.imag) < 5 * errors[:5][rank])

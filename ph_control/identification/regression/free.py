@@ -440,10 +440,6 @@ class FreeProjection(LinearProjection):
         """Sum of squared residuals of all outputs."""
         return float(self.losses.sum())
 
-    def predicted(self) -> list[NDArray[Any]]:
-        """Outputs at all instants or frequencies of each experiment; those of a single one without a dimension."""
-        return [outputs[0] if len(outputs) == 1 else outputs for outputs in self.predictions()]
-
     def predictions(self) -> list[NDArray[Any]]:
         """Outputs (q, T) at all instants or frequencies of each experiment; kept unless many, not to be changed."""
         if self._predictions is not None:
