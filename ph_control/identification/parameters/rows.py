@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..._types import Array
+from ..._types import Array, ComplexArray
 from ..regression.free import FreeRows
 from ..regression.frequency_rows import FreeResponse
 from ..regression.prediction import halved
@@ -46,44 +46,33 @@ class RowsRemainder:
     spread: Any
 
 
-def shared_unknowns(rows: FreeRows, model: PhysicalModes, scales: Array, through: bool) -> Array:
-    """Residues and feedthrough of the outputs of rows, as `predict` takes them, shape (.., q)."""
-    halves = halved(model.poles, model.residues)
-    entries, m = rows.outputs, model.participation.shape[1]
-    if isinstance(rows, FreeRecord):
-        residues, D = halves[:, entries], model.feedthrough[entries]
-    else:
-        o, i = np.divmod(entries, m)
-        residues, D = halves[:, o, i][:, :, None], model.feedthrough[o, i][:, None]
-    each = np.moveaxis(residues, 2, 0)
-    parts = [each.real, each.imag] + [D.T[:, None]] * through
-    stacked = np.concatenate(parts, axis=1)
-    if isinstance(rows, FreeRecord):
-        stacked = stacked[rows.acting]
-    return np.asarray(stacked.reshape(-1, len(entries)) / scales[entries])
+def shared_unknowns(rows: FreeRecord, model: PhysicalModes, scales: Array, through: bool) -> Array:
+    """Residues and feedthrough of the outputs of a record, as `predict` takes them, shape (.., q)."""
+    each = np.moveaxis(halved(model.poles, model.residues)[:, rows.outputs], 2, 0)
+    parts = [each.real, each.imag] + [model.feedthrough[rows.outputs].T[:, None]] * through
+    stacked = np.concatenate(parts, axis=1)[rows.acting]
+    return np.asarray(stacked.reshape(-1, len(rows.outputs)) / scales[rows.outputs])
+
+
+def _response(rows: FreeResponse, model: PhysicalModes, scales: Array) -> ComplexArray:
+    """Responses (q, K) of a model in the scale of those of rows, at the measured frequencies."""
+    o, i = np.divmod(rows.outputs, model.feedthrough.shape[1])
+    peaks, halves = rows.peaks(model.poles), halved(model.poles, model.residues)[:, o, i]
+    columns = np.concatenate(
+        [peaks.pole_term + peaks.conjugate_term, 1j * (peaks.pole_term - peaks.conjugate_term), rows.direct]
+    )
+    weights = np.concatenate([halves.real, halves.imag, model.feedthrough[o, i][None]])
+    return np.asarray((weights / scales[rows.outputs]).T @ columns)
 
 
 def remainder_of(rows: FreeRows, model: PhysicalModes, scales: Array) -> RowsRemainder:
     """What a model leaves of the rows of an experiment, what belongs to this at its best."""
     if isinstance(rows, FreeRecord):
         return _remainder_of_record(rows, model, scales)
-    if not isinstance(rows, FreeResponse):
-        raise TypeError(type(rows).__name__)
-    return _remainder_of_response(rows, model, scales)
-
-
-def _remainder_of_response(rows: FreeResponse, model: PhysicalModes, scales: Array) -> RowsRemainder:
-    """Responses have nothing of their own: a computed model has all modes."""
-    entries, (_, m) = rows.outputs, model.feedthrough.shape
-    o, i = np.divmod(entries, m)
-    peaks = rows.peaks(model.poles)
-    n, halves = len(model.poles), halved(model.poles, model.residues)[:, o, i]
-    columns = np.concatenate(
-        [peaks.pole_term + peaks.conjugate_term, 1j * (peaks.pole_term - peaks.conjugate_term), rows.direct]
-    )
-    weights = np.concatenate([halves.real, halves.imag, model.feedthrough[o, i][None]])
-    remainder = rows.target - rows.in_rows((weights / scales[entries]).T @ columns)
-    own = np.zeros((rows.own_unknowns(n), len(entries)))
+    # responses have nothing of their own: a computed model has all modes
+    assert isinstance(rows, FreeResponse)
+    remainder = rows.target - rows.in_rows(_response(rows, model, scales))
+    own = np.zeros((rows.own_unknowns(len(model.poles)), len(rows.outputs)))
     return RowsRemainder(
         np.concatenate([remainder.real.ravel(), remainder.imag.ravel()]), own, 0, lambda _: np.zeros((len(own),) * 2)
     )
@@ -247,9 +236,4 @@ def of_modes(rows: Any, model: PhysicalModes, places: Any, scales: Array, own: A
         moving = np.concatenate([places, n + places]) if rows.moving else places[:0]
         mine = np.concatenate([own[moving], np.zeros((rows.offset, own.shape[1]))])
         return rows.evaluated(some.poles).predict(shared_unknowns(rows, some, scales, rows.through), mine)
-    o, i = np.divmod(rows.outputs, some.feedthrough.shape[1])
-    peaks = rows.peaks(some.poles)
-    halves = halved(some.poles, some.residues)[:, o, i] / scales[rows.outputs]
-    return halves.real.T @ (peaks.pole_term + peaks.conjugate_term) + 1j * halves.imag.T @ (
-        peaks.pole_term - peaks.conjugate_term
-    )
+    return _response(rows, some, scales)
