@@ -8,10 +8,10 @@ import numpy as np
 
 from ... import _checks
 from ..._frozen import ReadOnlyMapping
-from ..._types import Array, ArrayLike, ComplexArray
-from ..._units import DERIVATIVES
+from ..._types import Array, ArrayLike
 from ...exceptions import StructureError
 from ...structures.base_motion import BaseMotion
+from .scaled_shapes import in_velocity_units, velocity_unit_slopes
 
 
 def base_motion(model: Any, masses: ArrayLike | None = None) -> BaseMotion:
@@ -125,13 +125,9 @@ def _weights(masses: ArrayLike | None, inputs: int, outputs: int) -> Array:
 def _contributions(result: Any) -> tuple[Array, Array]:
     """Contributions (n, p, m), and their derivatives (n p m, K) by what `PEMResult.covariance` is of."""
     n, count, (p, m) = result.order, len(result.poles), result.residues.shape[1:]
-    d, zeta, power = (
-        result.natural_frequencies,
-        result.damping_ratios,
-        np.array([DERIVATIVES[q] for q in result.quantities]),
-    )
-    factor, by_d, by_zeta = _factors(d, zeta, power)
-    rho = result.residues[:n]
+    poles, rho = result.poles[:n], result.residues[:n]
+    factor = -in_velocity_units(poles, result.quantities)
+    by_d, by_zeta = -velocity_unit_slopes(poles, result.quantities)
     values = (rho * factor[:, :, None]).real
     J = np.zeros((n, p, m, len(result.covariance)))
     l = np.arange(n)
@@ -142,16 +138,6 @@ def _contributions(result: Any) -> tuple[Array, Array]:
     J[mode, output, source, 2 * count + places] = factor.real[:, :, None]
     J[mode, output, source, 2 * count + result.residues.size + places] = -factor.imag[:, :, None]
     return np.asarray(values), J.reshape(n * p * m, -1)
-
-
-def _factors(d: Array, zeta: Array, power: Any) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """What residues are multiplied by, `-2j Im p / p^k`, shape (n, p), and its derivatives by size and damping."""
-    turn = np.sqrt(1 - zeta**2)[:, None]
-    unit = -zeta[:, None] + 1j * turn
-    slope = -1.0 - 1j * zeta[:, None] / turn
-    factor = -2j * turn * d[:, None] ** (1.0 - power) * unit ** (-1.0 * power)
-    by_zeta = factor * (-zeta[:, None] / turn**2 - power * slope / unit)
-    return factor, (1.0 - power) / d[:, None] * factor, by_zeta
 
 
 def _deviations(J: Array, covariance: Array) -> Array:

@@ -27,6 +27,14 @@ def in_velocity_units(poles: ComplexArray, quantities: Sequence[str]) -> Complex
     return np.asarray(2j * poles.imag[:, None] / poles[:, None] ** power)
 
 
+def velocity_unit_slopes(poles: ComplexArray, quantities: Sequence[str]) -> ComplexArray:
+    """Derivatives (2, n, outputs) of these factors by sizes and damping ratios of the poles."""
+    power, d, zeta = np.array([DERIVATIVES[name] for name in quantities]), np.abs(poles), -poles.real / np.abs(poles)
+    moved = np.stack([poles / d, -d * (1 + 1j * zeta / np.sqrt(1 - zeta**2))])[..., None]
+    relative = moved.imag / poles.imag[:, None] - power * moved / poles[:, None]
+    return np.asarray(in_velocity_units(poles, quantities) * relative)
+
+
 # --- shapes ----------------------------------------------------------------------------------------------------------
 
 
@@ -130,11 +138,8 @@ def shape_jacobian(pole: complex, residue: ComplexArray, quantities: Sequence[st
     poles = np.array([pole])
     factor = in_velocity_units(poles, quantities)[0]
     K = residue * factor[:, None]
-    power = np.array([DERIVATIVES[quantity] for quantity in quantities])
-    d, zeta = abs(pole), -pole.real / abs(pole)
     dK = np.zeros((2 + 2 * p * m, p, m), complex)
-    for row, dp in enumerate((pole / d, d * complex(-1.0, -zeta / np.sqrt(1 - zeta**2)))):
-        dK[row] = K * (dp.imag / pole.imag - power * dp / pole)[:, None]
+    dK[:2] = residue * velocity_unit_slopes(poles, quantities)[:, 0, :, None]
     unit = (np.eye(p * m) * np.repeat(factor, m)).reshape(p * m, p, m)
     dK[2 : 2 + p * m], dK[2 + p * m :] = unit, 1j * unit
     # left singular vector, up to a factor that the scale takes out
