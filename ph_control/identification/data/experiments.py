@@ -188,13 +188,13 @@ def _each_experiment(
     return tuple(checked)
 
 
-def as_record(data: Any, dt: float | None = None, *, input_needed: bool = True, output_needed: bool = True) -> Record:
+def as_record(data: Any, dt: float | None = None, *, output_needed: bool = True) -> Record:
     """Make one record in time of data that `as_experiments` takes; a record is returned as it is."""
     records = (data,) if isinstance(data, Record) else as_experiments(data, dt, output_needed=output_needed)
     record = records[0]
     if len(records) > 1 or not isinstance(record, Record):
         raise StructureError(f"data is a {type(data).__name__} of {len(records)} experiments; pass one time record")
-    if input_needed and not record.driven:
+    if not record.driven:
         raise StructureError("the record has no input; pass one that varies (a free motion is estimated along with it)")
     return record
 
