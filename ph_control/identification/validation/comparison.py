@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -174,30 +174,24 @@ class Comparison(Report, HeldData, Frozen):
             )
         return f"fitted to {own if own < len(self.experiments) else 'all'} of these experiments"
 
+    def _in_columns(self, texts: Iterable[str]) -> str:
+        """A text for each model, below its label."""
+        return "  ".join(f"{text:>{max(11, len(label))}}" for text, label in zip(texts, self.labels, strict=True))
+
     def _by_output(self) -> list[str]:
         """Fit of each model to each output."""
-        width, columns = max(6, *map(len, self.output_labels)), [max(11, len(label)) for label in self.labels]
-        rows = [("output", list(self.labels))]
-        rows += [
-            (name, [percent(fit) for fit in fits])
-            for name, fits in zip(self.output_labels, self.output_fit_percent.T, strict=True)
-        ]
-        return [
-            "  ".join([f"  {name:{width}}", *(f"{text:>{size}}" for text, size in zip(texts, columns, strict=True))])
-            for name, texts in rows
-        ]
+        width = max(6, *map(len, self.output_labels))
+        fits = zip(self.output_labels, self.output_fit_percent.T, strict=True)
+        rows = [("output", self.labels), *((name, map(percent, each)) for name, each in fits)]
+        return [f"  {name:{width}}  {self._in_columns(texts)}" for name, texts in rows]
 
     def _one_by_one(self) -> list[str]:
         """Fit of each model in each of several experiments."""
         if len(self.experiments) == 1:
             return []
-        columns = [max(11, len(label)) for label in self.labels]
-        names = "  ".join(f"{label:>{size}}" for label, size in zip(self.labels, columns, strict=True))
-        lines = ["", f"  experiment  samples  {names}"]
+        lines = ["", f"  experiment  samples  {self._in_columns(self.labels)}"]
         for k, experiment in enumerate(self.experiments[:_SHOWN], start=1):
-            fits = "  ".join(
-                f"{percent(fit):>{size}}" for fit, size in zip(experiment.fit_percent, columns, strict=True)
-            )
+            fits = self._in_columns(map(percent, experiment.fit_percent))
             lines.append(f"  {k:10d}  {experiment.record.samples:7d}  {fits}   {experiment.record.title}".rstrip())
         remaining = len(self.experiments) - _SHOWN
         return [*lines, f"  and {remaining} more"] if remaining > 0 else lines
