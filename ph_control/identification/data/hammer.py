@@ -76,30 +76,25 @@ class Hits:
 
 
 def _changed(record: Any, sizes: list[tuple[float, float]]) -> tuple[Any, Array | None]:
-    rows = np.atleast_2d(np.asarray(record.u, float))
-    hits = [_of_contacts(row) for row in rows]
-    if all(force is None for force, *_ in hits):
+    hits = [_of_contacts(row) for row in np.atleast_2d(np.asarray(record.u, float))]
+    forces, spreads = (np.array([hit[k] for hit in hits]) for k in (0, 1))
+    if not spreads.any():
         return record, None
-    sizes += [(noise, peak) for force, noise, peak in hits if force is not None]
-    forces = np.array([row if force is None else force for row, (force, *_) in zip(rows, hits, strict=True)])
-    spreads = np.array([
-        noise * (np.zeros(len(row)) if force is None else force != 0)
-        for row, (force, noise, _) in zip(rows, hits, strict=True)
-    ])  # fmt: skip
+    sizes += [(float(spread.max()), peak) for _, spread, peak in hits if spread.any()]
     return replace(record, u=forces.reshape(np.shape(record.u))), spreads
 
 
-def _of_contacts(force: Array) -> tuple[Array | None, float, float]:
-    """Force that is 0 outside contacts, None if there are none, with its noise and peak."""
+def _of_contacts(force: Array) -> tuple[Array, Array, float]:
+    """Force that is 0 outside contacts, if there are any, with its noise within them and its peak."""
     beside = force - np.median(force)
     size = np.abs(beside)
     noise, peak = float(np.quantile(size, 0.9)) / _NORMAL, float(size.max())
     seen = size > _SEEN * noise
     if noise == 0 or peak < _CLEAR * noise or seen.sum() > _SHORT * len(force):
-        return None, noise, peak
+        return force, np.zeros(len(force)), peak
     starts, stops = np.flatnonzero(np.diff(seen.astype(int), prepend=0, append=0)).reshape(-1, 2).T
     width = max(_LEAST, int((stops - starts).max()))
     alone = np.zeros(len(force))
     for first, last in zip(np.maximum(starts - width, 0), stops + width, strict=True):
         alone[first:last] = beside[first:last]
-    return alone, noise, peak
+    return alone, noise * (alone != 0), peak
