@@ -78,3 +78,21 @@ def test_integrators_and_their_lags_may_come_late(lag, delay):
     assert abs(shift - delay) < error
     if lag:
         assert np.isclose(result.time_constants[-1], lag, rtol=0.15)
+
+
+@pytest.mark.parametrize(
+    ("lag", "delays"), [(0.0, (1.01, 0.0)), (2.4, (0.42, 0.0)), (2.5, (0.92, 1.76)), (0.7, (0.35, 1.75))]
+)
+def test_inputs_of_an_integrator_have_dead_times_of_their_own(lag, delays):
+    """What flows into a tank, in part through a pipe and another tank, and what flows out."""
+    slow = [0.0, -1 / lag] if lag else [0.0]
+    flow, inward = record(slow, hold=25, delay=delays[0], noise=0.0, seed=1)
+    drain, outward = record([0.0], hold=40, delay=delays[1], noise=0.0, seed=2)
+    level = inward - 0.7 * outward
+    level = level + 0.005 * np.std(level) * np.random.default_rng(3).standard_normal(len(level))
+    result = phc.pem(([flow, drain], level), dt=H)
+    assert result.order == 0
+    assert len(result.real_poles) == len(slow)
+    assert integrators(result) == 1
+    late = result.input_delay + np.max(result.delay)
+    assert np.all(np.abs(late - delays) < 0.25)

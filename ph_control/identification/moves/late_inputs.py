@@ -163,8 +163,10 @@ def _proposed_dead_times(rows: Sequence[FreeRecord], inputs: int, p: ComplexArra
         return None
     start = np.zeros(inputs, int)
     slowest = 6.0 / min(record.length for record in rows)
-    single = np.geomspace(3 * slowest, 0.5, _LAGS)[:, None]
-    several = [*(single[:-1] * [1.0, 3.0]), *(np.geomspace(slowest, 0.5, count) for count in (3, 4, 6))]
+    lag = np.geomspace(3 * slowest, 0.5, _LAGS)[:, None]
+    single = [np.zeros(1), *lag]  # an integrator first
+    several = [*(lag[:-1] * [1.0, 3.0]), *(lag * [0.0, 1.0])]
+    several += [np.geomspace(slowest, 0.5, count) for count in (3, 4, 6)]
     trials, least = [], np.inf
     for rates in (single, several):
         for lags in (-np.array(row, complex) / steps[0] for row in rates):
