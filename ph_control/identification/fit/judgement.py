@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from ..._display import counted, p_value
-from ..._types import Array, NDArray, RealOrComplex
+from ..._types import Array, ComplexArray, Indices, NDArray, RealOrComplex
 from ..._units import DERIVATIVES
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
@@ -269,24 +269,27 @@ def _integrators(estimates: Estimates) -> list[Finding]:
     fit, n, slowest = estimates.fit, len(estimates.poles), TUNING.slowest_growth * estimates.free.region.bin
     if not n or estimates.free.interrupted:
         return []
-    p = fit.p
-    first, second = (*np.argsort(np.abs(p)).tolist(), 0)[:2]
-    slopes = np.zeros((2, 2 * n))  # of sum and product by imaginary and real parts
-    if p[first].imag:
-        values = np.array([2 * p[first].real, np.abs(p[first]) ** 2])
-        slopes[:, n + first], slopes[1, first] = (2.0, 2 * p[first].real), 2 * p[first].imag
-    else:
-        values = np.array([p[first].real + p[second].real, p[first].real * p[second].real])
-        slopes[:, n + first], slopes[:, n + second] = (1.0, p[second].real), (1.0, p[first].real)
-    covariance, findings = fit.covariance[: 2 * n, : 2 * n], list[Finding]()
-    if p[first].imag or (n > 1 and not p[second].imag):
-        chance = _chance_of_zero(values, slopes @ covariance @ slopes.T, np.array([2 * slowest, 4 * slowest**2]))
-        findings += [Finding(Cause.INTEGRATOR, (2.0, chance), 0.0)] * (chance > _AT_ZERO)
-    if not (findings or p[first].imag):
-        variance = covariance[n + first, n + first].reshape(1, 1)
-        chance = _chance_of_zero(p.real[[first]], variance, np.array([slowest]))
-        findings += [Finding(Cause.INTEGRATOR, (1.0, chance), 0.0)] * (chance > _AT_ZERO)
-    return findings
+    near = np.argsort(np.abs(fit.p))[:2]
+    near = near[:1] if fit.p[near[0]].imag else near[fit.p[near].imag == 0]
+    trials = [_sum_and_product(fit.p, near)] if fit.p[near[0]].imag or len(near) > 1 else []
+    if not fit.p[near[0]].imag:
+        trials.append((fit.p.real[near[:1]], np.eye(2 * n)[n + near[:1]]))
+    for values, slopes in trials:
+        most = np.array([slowest] if len(values) == 1 else [2 * slowest, 4 * slowest**2])
+        chance = _chance_of_zero(values, slopes @ fit.covariance[: 2 * n, : 2 * n] @ slopes.T, most)
+        if chance > _AT_ZERO:
+            return [Finding(Cause.INTEGRATOR, (float(len(values)), chance), 0.0)]
+    return []
+
+
+def _sum_and_product(p: ComplexArray, places: Indices) -> tuple[Array, Array]:
+    """Sum and product of two real poles, or of one and its conjugate, and derivatives by the parts of all poles."""
+    slopes, n = np.zeros((2, 2 * len(p))), len(p)
+    first, last = p[places[0]], p[places[-1]].conj()
+    slopes[:, n + places[0]] += 1.0, last.real
+    slopes[:, n + places[-1]] += 1.0, first.real
+    slopes[1, places[0]] = 2 * first.imag
+    return np.array([(first + last).real, (first * last).real]), slopes
 
 
 def _chance_of_zero(values: Array, covariance: Array, most: Array) -> float:
