@@ -45,6 +45,16 @@ def test_poles_that_may_be_0_are_said(poles, count):
     assert result.outcome.name == "CONSISTENT"
 
 
+def test_a_mode_slower_than_the_record_is_said_beside_an_integrator():
+    """It turns for three quarters of a time."""
+    u, y = record_of_mode(0.032)
+    tank = fine_response([0.0], u)[::FINE]
+    result = phc.pem((u, [y / np.std(y), tank + 1e-3 * np.random.default_rng(4).standard_normal(len(u))]), dt=H)
+    assert integrators(result) == 1
+    assert result.order == 1
+    assert "Mode 1" in result.message
+
+
 @pytest.mark.parametrize("share", [0.3, *slowly(0.6)])
 def test_a_lag_that_a_record_shows_is_no_integrator(share):
     """Its time constant is a part of the record."""

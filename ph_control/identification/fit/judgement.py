@@ -266,7 +266,7 @@ def _integrators(estimates: Estimates) -> list[Finding]:
 
     Of two, sum and product are tested: these have errors also where the poles meet.
     """
-    fit, n, slowest = estimates.fit, len(estimates.poles), TUNING.slowest_growth * estimates.free.region.bin
+    fit, n, slowest = estimates.fit, len(estimates.poles), _slowest(estimates)
     if not n or estimates.free.interrupted:
         return []
     near = np.argsort(np.abs(fit.p))[:2]
@@ -280,6 +280,11 @@ def _integrators(estimates: Estimates) -> list[Finding]:
         if chance > _AT_ZERO:
             return [Finding(Cause.INTEGRATOR, (float(len(values)), chance), 0.0)]
     return []
+
+
+def _slowest(estimates: Estimates) -> float:
+    """Rate at which a pole changes a motion by a factor of e over the longest record."""
+    return TUNING.slowest_growth * estimates.free.region.bin
 
 
 def _sum_and_product(p: ComplexArray, places: Indices) -> tuple[Array, Array]:
@@ -307,15 +312,15 @@ def _about_poles(evidence: Evidence) -> list[str]:
     modes = int(np.sum(poles.imag != 0))
     spread = np.sqrt(np.maximum(np.diag(estimates.covariance), 0.0))
     errors = np.append(spread[len(poles) :][:modes] * np.abs(poles[:modes]), spread[modes : len(poles)])
-    growing = np.flatnonzero(poles.real > _CERTAIN * errors)
-    if evidence.shows(Cause.INTEGRATOR):
-        growing = growing[np.abs(poles[growing]) > 2 * TUNING.slowest_growth * estimates.free.region.bin]
+    near = evidence.shows(Cause.INTEGRATOR) & (np.abs(poles) <= 2 * _slowest(estimates))
+    growing = np.flatnonzero((poles.real > _CERTAIN * errors) & ~near)
     if len(growing):
         grow = "grows" if len(growing) == 1 else "grow"
         sentences.append(f"{counted(len(growing), 'pole')} {grow}: {', '.join(map(str, growing + 1))}.")
     lengths = (channel.dt * channel.samples for channel in estimates.free.channels if isinstance(channel, Recording))
-    slow = np.flatnonzero(np.abs(poles[:modes]) * max(lengths, default=np.inf) < 2 * np.pi * (1 - 1e-6))
-    if len(slow) and not evidence.shows(Cause.INTEGRATOR):
+    turns = np.abs(poles[:modes]) * max(lengths, default=np.inf) / (2 * np.pi)
+    slow = np.flatnonzero((turns < 1 - 1e-6) & ~near[:modes])
+    if len(slow):
         sentences.append(slower_than_record(slow.tolist()))
     return sentences
 
