@@ -33,12 +33,15 @@ class CanonicalVariates:
         """Number r of samples of past and future."""
         return len(self.R) // 2
 
-    def _lagged(self, k: int) -> Array:
-        return np.asarray(self.R[k] if k >= 0 else self.R[-k].T)
+    @cached_property
+    def _two_sided(self) -> Array:
+        """Correlations of lags -2 r to 2 r."""
+        return np.concatenate([self.R[:0:-1].transpose(0, 2, 1), self.R])
 
     def _blocks(self, first: int, down: int, along: int) -> Array:
-        r = range(self.horizon)
-        return np.block([[self._lagged(first + down * i + along * j) for j in r] for i in r])
+        r, p = np.arange(self.horizon), self.R.shape[1]
+        lags = len(self.R) - 1 + first + down * r[:, None] + along * r
+        return np.asarray(self._two_sided[lags].transpose(0, 2, 1, 3).reshape(len(r) * p, len(r) * p))
 
     @cached_property
     def _past(self) -> Array:
@@ -48,7 +51,7 @@ class CanonicalVariates:
     @cached_property
     def _with_past(self) -> Array:
         """Covariance of `y_0` with the past."""
-        return np.concatenate([self._lagged(k + 1) for k in range(self.horizon)], axis=1)
+        return np.concatenate(self.R[1 : self.horizon + 1], axis=1)
 
     @cached_property
     def _directions(self) -> Array:
