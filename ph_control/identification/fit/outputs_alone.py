@@ -94,10 +94,11 @@ def of_outputs_alone(
         return _of_forces(channels, request, options, order, None) or of_modes()
     faded = _faded(channels)
     complete = faded > _DECAYED or order != "auto"
-    result = of_modes() if complete else of_modes(_FEW_MODES)
-    if result.whiteness >= WHITE or not result.success:
+    result = of_modes() if complete else of_modes(_FEW_MODES, plain=True)
+    if complete and (result.whiteness >= WHITE or not result.success):
         return result
-    forced = _of_forces(channels, request, options, order, result, faded > _FADED)
+    white = result.whiteness >= WHITE
+    forced = None if white else _of_forces(channels, request, options, order, result, faded > _FADED)
     if complete:
         return forced or result
     try:
