@@ -217,7 +217,7 @@ class _Trials:
         for _ in range(_ROUNDS):
             if p is None:
                 break
-            again = np.full(len(self._first.scales), scan.latest(p) * self.step)
+            again = scan.offsets + scan.latest(p) * self.step
             if np.array_equal(again, delay) or not again.any():
                 break
             delay = again
@@ -360,12 +360,12 @@ def _samples_late(fit: FreeFit) -> int:
 class _DelayScan:
     """Delays of records, for the poles of a fit that has some delay, and for a lag of some rates beside some poles.
 
-    Poles may stand for a part of a delay, or for all of it: a lag of any rate takes the place of the heavily damped
+    All outputs come late together: what one comes after another, `offsets` in time, stays as in the fit.  Poles may stand for a part of a delay, or for all of it: a lag of any rate takes the place of the heavily damped
     ones, or joins the slowest of them.
     """
 
     rows: Sequence[FreeRecord]
-    outputs: int
+    offsets: Array
     p: ComplexArray
     beside: Sequence[ComplexArray]
     rates: Array
@@ -392,7 +392,8 @@ class _DelayScan:
         beside = [np.concatenate([p[~heavy], lags[:count]]) for count in range(max(min(len(lags), fewer), 0) + 1)]
         beside += [] if heavy.all() else [p[:0]]
         rates = np.array([*np.geomspace(4.0 / shortest, 0.5, _LAGS) / channels[0].dt, *np.abs(lags[lags != 0])])
-        return cls(rows, len(fit.scales), p, beside, rates, _samples_late(fit), shortest // 10)
+        late = int(np.rint(fit.delay.min() / channels[0].dt))
+        return cls(rows, fit.delay - fit.delay.min(), p, beside, rates, late, shortest // 10)
 
     @property
     def far(self) -> list[int]:
@@ -423,7 +424,7 @@ class _DelayScan:
     def _costs(self, delays: Sequence[int]) -> tuple[list[int], Callable[[ComplexArray], Array]]:
         """Return those of some delays that records are long enough for, and half the BIC of poles with each."""
         tried = sorted({self.late, *(delay for delay in delays if 0 <= delay <= self.most)})
-        delayed = _Delayed.of(self.rows, tried, self.outputs)
+        delayed = _Delayed.of(self.rows, tried, len(self.offsets))
 
         def costs(p: ComplexArray) -> Array:
             losses, unknowns = delayed.losses(p)
@@ -459,12 +460,12 @@ class _DelayScan:
         ranked = sorted(
             (delay for delay, gain in likely.items() if gain > -TUNING.likely), key=lambda delay: -likely[delay]
         )
-        return [np.full(self.outputs, delay * self.rows[0].hold.h) for delay in ranked]
+        return [self.offsets + delay * self.rows[0].hold.h for delay in ranked]
 
 
 def _undelayed(fit: FreeFit) -> Lateness:
-    """Return the delays of a fit without those of the outputs."""
-    return replace(fit.lateness, outputs=np.zeros_like(fit.delay))
+    """Return the delays of a fit without that which all outputs have."""
+    return replace(fit.lateness, outputs=fit.delay - fit.delay.min())
 
 
 def leaves_traces(projection: FreeProjection) -> bool:
