@@ -59,9 +59,8 @@ def fit_channels(
     order = options.order if order is None else order
     _refuse_gaps(channels, options.noise)
 
-    def of_modes(most: int = options.max_order, plain: bool = False) -> PEMResult:
-        limited = replace(options.plain(channels) if plain else options, max_order=min(most, options.max_order))
-        return _of_modes_and_inputs(channels, request, limited, start, findings, order)
+    def of_modes() -> PEMResult:
+        return _of_modes_and_inputs(channels, request, options, start, findings, order)
 
     if request.function is not None or not are_alone(channels, request.structure, options):
         return of_modes()

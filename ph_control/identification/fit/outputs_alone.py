@@ -38,9 +38,8 @@ from ..uncertainty.residual_tests import ljung_box
 from .judgement import DOUBTS, at_rest, doubt_about, rejections, saturated
 from .options import Options
 from .pem_result import PEMResult
-from .result import OrderRow, cut_short
+from .result import OrderRow
 
-_FEW_MODES = 4  # that are tried for a motion that may be no decay
 _DECAYED = 4.0  # times the squares of the last quarter of a record in its first
 _FADED = 30.0  # times these: no motion that forces keep up, unless they make what is there at the end
 _FURTHER = 3  # modes that those of a motion without end may lack of one that decays
@@ -90,63 +89,72 @@ def of_outputs_alone(
 ) -> PEMResult:
     """Take the likelier of a motion that decays and of one that forces keep up; the former where its noise is white."""
     _refuse_dead(channels)
-    if options.noise == "forces":
-        return _of_forces(channels, request, options, order, None) or of_modes()
-    faded = _faded(channels)
-    complete = faded > _DECAYED or order != "auto"
-    result = of_modes() if complete else of_modes(_FEW_MODES, plain=True)
-    if complete and (result.whiteness >= WHITE or not result.success):
-        return result
-    white = result.whiteness >= WHITE
-    forced = None if white else _of_forces(channels, request, options, order, result, faded > _FADED)
-    if complete:
-        return forced or result
-    try:
-        if forced is not None and not _may_decay(channels, forced, options):
-            return forced
-    except KeyboardInterrupt:
-        return cut_short(forced)
-    result = of_modes()
-    return result if forced is None or _bic_of(result) < forced.bic else forced
-
-
-def _may_decay(channels: Sequence[Recording], forced: PEMResult, options: Options) -> bool:
-    """Whether a motion that decays from the poles of one that forces keep up is likelier, or may be with more modes.
-
-    With these where it explains most of an output already.
-    """
-    path = FreePath.of(channels, RowOptions(None, "zoh", int(bool(options.offset)), options.moving))
-    model = path.reweighted(path.model(forced.poles))
-    if not np.any(model.losses < _MOST * path.power):
-        return path.bic(model) < forced.bic
-    return may_reach(path, model.p, min(options.max_order, path.carried, forced.order + _FURTHER), forced.bic)
-
-
-def _of_forces(
-    channels: list[Recording], request: Request, options: Options, order: int | str, decaying: PEMResult | None,
-    faded: bool = False,
-) -> PEMResult | None:  # fmt: skip
-    """The motion that forces keep up; None if there is none, or if that of a result which decays is likelier.
-
-    Nor where outputs have `faded`, unless forces make what is there at the end.
-    """
-    count, real_poles = (value if isinstance(value, int) else None for value in (order, options.real_poles))
     search: _Search = partial(
-        ambient_fit, order=count, real_poles=real_poles, max_order=options.max_order,
+        ambient_fit, order=_given(order), real_poles=_given(options.real_poles), max_order=options.max_order,
         criterion="bic" if options.criterion == "holdout" else options.criterion,
         reports=reporter(options.largest, options.callback),
     )  # fmt: skip
+    beside_all = partial(_beside_all, channels, request, options, order, search)
+    if options.noise == "forces":
+        fit = search(channels)
+        if fit is None:
+            raise IdentificationError(_nothing_fits(channels, _given(order), _given(options.real_poles)))
+        return beside_all(fit, 0.0)
+    faded = _faded(channels)
+    if faded > _DECAYED or order != "auto":
+        decaying = of_modes()
+        fit = search(channels) if decaying.success and decaying.whiteness < WHITE else None
+        if fit is None or not (fit.minimum.interrupted or fit.criteria.bic < _bic_of(decaying)):
+            return decaying
+        if faded > _FADED and not _keep_up_the_end(fit):
+            return decaying
+        return beside_all(fit, fit.criteria.loglik - decaying.loglik)
     fit = search(channels)
-    if fit is None:
-        if decaying is None:
-            raise IdentificationError(_nothing_fits(channels, count, real_poles))
-        return None
-    likelier = decaying is None or _bic_of(decaying) > fit.criteria.bic or fit.minimum.interrupted
-    if not likelier or (faded and not _keep_up_the_end(fit)):
-        return None
-    gain = 0.0 if decaying is None else fit.criteria.loglik - decaying.loglik
+    if fit is not None:
+        try:
+            gain = _gain_over_decay(channels, fit, options)
+        except KeyboardInterrupt:
+            return beside_all(fit.cut, 0.0)
+        if gain is not None:
+            return beside_all(fit, gain)
+    decaying = of_modes()
+    if fit is None or decaying.whiteness >= WHITE or not decaying.success:
+        return decaying
+    forced = beside_all(fit, fit.criteria.loglik - decaying.loglik)
+    return decaying if _bic_of(decaying) < forced.bic else forced
+
+
+def _given(count: int | str) -> int | None:
+    """A number of modes or poles; None where the data choose it."""
+    return None if isinstance(count, str) else count
+
+
+def _gain_over_decay(channels: Sequence[Recording], fit: AmbientFit, options: Options) -> float | None:
+    """What a motion that forces keep up gains in log-likelihood over one that decays from the same poles.
+
+    None where the latter is likelier, or explains most of an output and may be likelier with more modes.
+    """
+    if fit.minimum.interrupted:
+        return 0.0
+    path = FreePath.of(channels, RowOptions(None, "zoh", int(bool(options.offset)), options.moving))
+    poles = fit.noise.sections.p / channels[0].dt
+    # what forces keep up moves about its mean
+    decay = path.reweighted(path.model(poles if options.offset else np.append(poles, 0.0)))
+    if np.any(decay.losses < _MOST * path.power):
+        most = min(options.max_order, path.carried, fit.order + _FURTHER)
+        may_decay = may_reach(path, decay, most, fit.criteria.bic)
+    else:
+        may_decay = path.bic(decay) < fit.criteria.bic
+    return None if may_decay else fit.criteria.loglik - path.loglik(decay.losses)
+
+
+def _beside_all(
+    channels: list[Recording], request: Request, options: Options, order: int | str, search: _Search,
+    fit: AmbientFit, gain: float,
+) -> PEMResult:  # fmt: skip
+    """The result of a fit beside drifts, tones and changes of level, with what it gains over a decay."""
     forced = _Forced.of(fit, channels, gain)
-    if real_poles is None and options.offset == "auto":
+    if options.real_poles == "auto" and options.offset == "auto":
         forced = _beside_drift(forced, search)
     if order == "auto":
         forced = _beside_tones(forced, search)

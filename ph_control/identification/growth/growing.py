@@ -72,13 +72,12 @@ def _in_rows(path: FreePath, start: ComplexArray, most: int, automatic: bool) ->
     return model
 
 
-def may_reach(path: FreePath, start: ComplexArray, most: int, bic: float) -> bool:
-    """Whether modes that join from a start lead to a BIC as small as some, or may yet.
+def may_reach(path: FreePath, model: FreeModel, most: int, bic: float) -> bool:
+    """Whether modes that join a model lead to a BIC as small as some, or may yet.
 
     Given up where a mode more, and the best place of all, lower the BIC so little that as many as are open would not
     reach it.
     """
-    model = path.reweighted(path.model(start))
     gap = path.bic(model) - bic
     while gap > 0:
         before = gap

@@ -134,5 +134,6 @@ def _similar(inner: Array, block: Array) -> Array:
         return np.eye(1)
     system = np.kron(inner, np.eye(2)) - np.kron(np.eye(2), block.T)
     first, second = (row.reshape(2, 2) for row in np.linalg.svd(system)[2][-2:])
-    turns = np.linspace(0, np.pi, _TURNS, endpoint=False)
-    return min((np.cos(turn) * first + np.sin(turn) * second for turn in turns), key=np.linalg.cond)
+    turns = np.linspace(0, np.pi, _TURNS, endpoint=False)[:, None, None]
+    bases = np.cos(turns) * first + np.sin(turns) * second
+    return np.asarray(bases[np.argmin(np.linalg.cond(bases))])

@@ -360,8 +360,9 @@ def _samples_late(fit: FreeFit) -> int:
 class _DelayScan:
     """Delays of records, for the poles of a fit that has some delay, and for a lag of some rates beside some poles.
 
-    All outputs come late together: what one comes after another, `offsets` in time, stays as in the fit.  Poles may stand for a part of a delay, or for all of it: a lag of any rate takes the place of the heavily damped
-    ones, or joins the slowest of them.
+    All outputs come late together: what one comes after another, `offsets` in time, stays as in the fit.  Poles may
+    stand for a part of a delay, or for all of it: a lag of any rate takes the place of the heavily damped ones, or
+    joins the slowest of them.
     """
 
     rows: Sequence[FreeRecord]

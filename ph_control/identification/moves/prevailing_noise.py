@@ -102,7 +102,8 @@ def may_be_white(channels: Experiments, search: Search, late: Lateness, bic: flo
     """Whether modes that join in white noise lead to a BIC as small as some, or may yet; of a given number always."""
     if not search.automatic:
         return True
-    return may_reach(search.in_white_noise.path(channels, late), search.begin, search.most, bic)
+    path = search.in_white_noise.path(channels, late)
+    return may_reach(path, path.reweighted(path.model(search.begin)), search.most, bic)
 
 
 def likely_poles(records: Sequence[FreeRecord], outputs: int, orders: Orders) -> tuple[ComplexArray, float] | None:
