@@ -217,7 +217,7 @@ class _Trials:
         for _ in range(_ROUNDS):
             if p is None:
                 break
-            again = scan.offsets + scan.latest(p) * self.step
+            again = scan.delays(scan.latest(p))
             if np.array_equal(again, delay) or not again.any():
                 break
             delay = again
@@ -245,12 +245,18 @@ def _least_gain(fit: FreeFit, again: FreeFit) -> float:
 
 def bic_within(fit: FreeFit, least: float, most: float, more: int = 0) -> float:
     """Return the BIC of a fit, with some more parameters, over the samples that delays between two times leave."""
+    rows = _rows_within(fit, fit.channels, fit.delay, least, most)
+    return _bic_of(rows, FreeProjection(rows, fit.projection.p, fit.projection.fed), fit.unknowns + more)
+
+
+def _rows_within(
+    fit: FreeFit, channels: Sequence[Recording], delay: Array, least: float, most: float
+) -> Sequence[FreeRecord]:  # fmt: skip
+    """Return rows in the noise of a fit with some delay, of the samples that delays between two times leave."""
     moving = any(rows.moving for rows in fit.projection.experiments)
-    rows = [
-        record.delayed(record.delay_time, least, most) for record in rows_as_in(fit, fit.channels, moving, fit.lateness)
-    ]
-    shown = Records(rows).whitened(fit.noise).data if fit.noise else rows
-    return _bic_of(shown, FreeProjection(shown, fit.projection.p, fit.projection.fed), fit.unknowns + more)
+    records = rows_as_in(fit, channels, moving, replace(fit.lateness, outputs=delay))
+    rows = [record.delayed(record.delay_time, least, most) for record in records]
+    return Records(rows).whitened(fit.noise).data if fit.noise else rows
 
 
 def _bic_of(rows: Sequence[FreeRecord], projection: FreeProjection, unknowns: int) -> float:
@@ -365,6 +371,8 @@ class _DelayScan:
     joins the slowest of them.
     """
 
+    fit: FreeFit
+    channels: Sequence[Recording]
     rows: Sequence[FreeRecord]
     offsets: Array
     p: ComplexArray
@@ -394,7 +402,7 @@ class _DelayScan:
         beside += [] if heavy.all() else [p[:0]]
         rates = np.array([*np.geomspace(4.0 / shortest, 0.5, _LAGS) / channels[0].dt, *np.abs(lags[lags != 0])])
         late = int(np.rint(fit.delay.min() / channels[0].dt))
-        return cls(rows, fit.delay - fit.delay.min(), p, beside, rates, late, shortest // 10)
+        return cls(fit, some, rows, fit.delay - fit.delay.min(), p, beside, rates, late, shortest // 10)
 
     @property
     def far(self) -> list[int]:
@@ -403,8 +411,11 @@ class _DelayScan:
         count = 1 + int(_PER_DECADE * np.log10(longest / LONGEST_DELAY))
         return sorted({*np.rint(np.geomspace(LONGEST_DELAY, longest, count)).astype(int).tolist()})
 
-    def likeliest(self, delays: Sequence[int]) -> dict[int, float]:
-        """Return the best of some delays for the poles, and for the best lag, with the log-likelihood each gains."""
+    def likeliest(self, delays: Sequence[int]) -> dict[int, tuple[float, ComplexArray]]:
+        """Return the best of some delays for the poles, and for the best lag, with what it gains, and these poles.
+
+        The gain in log-likelihood is over that of the fit.
+        """
         tried, scanned = self._costs(delays)
 
         def with_lag(some: ComplexArray, log_rate: float) -> Array:
@@ -419,8 +430,10 @@ class _DelayScan:
             lambda rate: float(with_lag(some, rate).min()), bounds=(about - 1, about + 1), method="bounded",
             options={"xatol": 0.03},
         )  # fmt: skip
-        lag, before = with_lag(some, nearest.x if nearest.fun < lowest else about), float(poles[tried.index(self.late)])
-        return {tried[int(np.argmin(scan))]: before - float(scan.min()) for scan in (poles, lag)}
+        rate = nearest.x if nearest.fun < lowest else about
+        scans = [(poles, self.p), (with_lag(some, rate), np.append(some, -np.exp(rate)))]
+        before = float(poles[tried.index(self.late)])
+        return {tried[int(np.argmin(scan))]: (before - float(scan.min()), p) for scan, p in scans}
 
     def _costs(self, delays: Sequence[int]) -> tuple[list[int], Callable[[ComplexArray], Array]]:
         """Return those of some delays that records are long enough for, and half the BIC of poles with each."""
@@ -455,13 +468,27 @@ class _DelayScan:
         What is far less likely than the fit, though no pole that stays is refined, is not among them.
         """
         likely, far = self.likeliest(range(min(LONGEST_DELAY, self.most) + 1)), self.likeliest(self.far)
-        if max(far.values()) > max(likely.values()):
+        if max(gain for gain, _ in far.values()) > max(gain for gain, _ in likely.values()):
             near = {delay for about in far for delay in range(about - about // 8, about + about // 8 + 1)}
             likely |= self.likeliest(sorted(near))
-        ranked = sorted(
-            (delay for delay, gain in likely.items() if gain > -TUNING.likely), key=lambda delay: -likely[delay]
-        )
-        return [self.offsets + delay * self.rows[0].hold.h for delay in ranked]
+        gains = {delay: min(gain, self._gain_within(delay, p)) for delay, (gain, p) in likely.items()}
+        ranked = sorted(gains, key=lambda delay: -gains[delay])
+        return [self.delays(delay) for delay in ranked if gains[delay] > -TUNING.likely]
+
+    def delays(self, samples: int) -> Array:
+        """Return times by which outputs come late, that which comes first by so many samples."""
+        return self.offsets + samples * self.rows[0].hold.h
+
+    def _gain_within(self, samples: int, p: ComplexArray) -> float:
+        """Return what poles with another delay gain over those of the fit, in the samples that both delays leave.
+
+        A response that ends before a delay does would be left out of one of them alone.
+        """
+        delays = (self.fit.delay, self.delays(samples))
+        rows = [_rows_within(self.fit, self.channels, each, np.min(delays), np.max(delays)) for each in delays]
+        projections = [FreeProjection(*pair) for pair in zip(rows, (self.p, p), strict=True)]
+        before, after = (_bic_of(*pair, pair[1].unknowns) for pair in zip(rows, projections, strict=True))
+        return 0.5 * (before - after)
 
 
 def _undelayed(fit: FreeFit) -> Lateness:
