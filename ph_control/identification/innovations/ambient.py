@@ -186,35 +186,35 @@ def ambient_fit(
     -----
     Exact Gaussian maximum likelihood but for the first samples, whose motion is estimated.  O(T p^2 N) a model of N
     states on the way, O(T p^3 N^2) a step of those that are refined.  Missing samples are unknowns of the likelihood:
-    a fit, and their values in its noise, in turn.
+    a fit, and their values in its noise, in turn; the last of these fits compares models that are nearly as likely.
     """
     missing = [missing_in(channel.y) for channel in channels]
     counts = np.sum([each.sum(axis=1) for each in missing], axis=0)
 
-    def fitted(outputs: Sequence[Array]) -> AmbientFit | None:
+    def fitted(outputs: Sequence[Array], last: bool) -> AmbientFit | None:
         data = _Standardised.of(outputs)
         if data.longest < 2 or not (len(data.references) and data.is_independent):
             return None
         more = real_poles if real_poles is not None else _REAL if order is not None else 1
         most = 2 * (max_order if order is None else order) + more
-        models = data.models(most, order is None, reports)
+        models = data.models(most, order is None, reports, _HORIZONS if last else _HORIZONS[:1])
         fitting = [model for model in models.best if _has(model.noise, order, real_poles) and model.order <= max_order]
         if not fitting:
             return None
         least = min(model.bic for model in fitting)
-        close = [model for model in sorted(fitting, key=lambda model: model.bic)[:_CLOSE] if model.bic < least + _NEAR]
+        few = sorted(fitting, key=lambda model: model.bic)[: _CLOSE if last else 1]
+        close = [model for model in few if model.bic < least + _NEAR]
         end = _refined(data.problem, close, criterion, reports, models.interrupted)
         return AmbientFit(end, data.scales, data.means, models.best, tuple(outputs), counts)
 
-    fit = fitted([bridged(channel.y) for channel in channels])
-    for _ in range(_ROUNDS if counts.any() else 0):
-        if fit is None or fit.minimum.interrupted:
+    last = not counts.any()
+    fit = fitted([bridged(channel.y) for channel in channels], last)
+    for further in reversed(range(_ROUNDS)):
+        if last or fit is None or fit.minimum.interrupted:
             break
         outputs = _completed(fit, missing)
-        settled = _are_settled(outputs, fit, missing)
-        fit = fitted(outputs)
-        if settled:
-            break
+        last = not further or _are_settled(outputs, fit, missing)
+        fit = fitted(outputs, last)
     return fit
 
 
