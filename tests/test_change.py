@@ -17,6 +17,7 @@ from ph_control import StructureError
 
 STEP = 0.5
 D, ZETA = np.array([1.0, 2.0]), np.array([0.01, 0.02])
+HELD = {"intersample": "zoh", "delay": 0.0}  # how inputs arrive, where nothing is to be learned of it
 
 
 def outputs(theta, u, state=(0.0, 0.0, 0.0, 0.0)):
@@ -172,7 +173,7 @@ def stiffer():
 @pytest.mark.variants
 @pytest.mark.parametrize("noise, how", [("coloured", {"colour": 0.9}), ("correlated", {"shared": 2.0})])
 def test_noise_of_other_kinds_is_whitened(noise, how):
-    result = phc.pem(channels(0, **how), 2, dt=STEP, noise=noise, structure="free")
+    result = phc.pem(channels(0, **how), 2, dt=STEP, noise=noise, structure="free", **HELD)
     assert result.noise.colours is not None if noise == "coloured" else result.noise.covariance[0, 1] > 0
     same, other = (result.changed(channels(3, plant, **how)) for plant in (frame(), stiffer()))
     assert same.p > 0.01 and same.whiteness > 0.01
@@ -187,7 +188,7 @@ def test_unmeasured_forces_are_no_change():
         y = phc.forced_response(plant, STEP * np.arange(2000), np.concatenate([u, w]), intersample="zoh").outputs
         return u, y + 0.1 * rng.standard_normal(y.shape)
 
-    result = phc.pem(pushed(0, frame()), 2, dt=STEP, noise="forces")
+    result = phc.pem(pushed(0, frame()), 2, dt=STEP, noise="forces", **HELD)
     assert result.noise.forces is not None
     assert result.changed(pushed(1, frame())).p > 0.01
     assert result.changed(pushed(2, stiffer())).p < 1e-3
@@ -264,7 +265,9 @@ def test_what_cannot_be_tested_is_refused_with_the_reason():
         fitted().changed((u, y), parameters="shapes")
     with pytest.raises(StructureError, match="level is 2"):
         fitted().changed((u, y), level=2)
-    grown = phc.pem(record(0, plant=ct.tf([1.0], [1.0, -0.02]), noise=0.1), dt=STEP, real_poles=1, quantity="free")
+    grown = phc.pem(
+        record(0, plant=ct.tf([1.0], [1.0, -0.02]), noise=0.1), 0, dt=STEP, real_poles=1, quantity="free", **HELD
+    )
     with pytest.raises(StructureError, match="a pole that grows"):
         grown.changed((u, y))
 
@@ -353,7 +356,9 @@ def test_shapes_tell_modes_apart_whose_frequencies_have_crossed():
 
 def test_real_poles_are_paired_and_held_against_their_errors():
     def lag(seed, rate):
-        return phc.pem(record(seed, plant=ct.tf([1.0], [1.0, rate]), noise=0.3), dt=STEP, real_poles=1, quantity="free")
+        return phc.pem(
+            record(seed, plant=ct.tf([1.0], [1.0, rate]), noise=0.3), dt=STEP, real_poles=1, quantity="free", **HELD
+        )
 
     before, after = lag(0, 0.3), lag(1, 0.4)
     comparison = before.compare(after)

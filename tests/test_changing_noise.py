@@ -11,6 +11,7 @@ STEP, SAMPLES = 0.3, 900
 POLES = np.array([-0.01 + 1j, -0.03 + 2j])
 SHAPES = np.array([[1.0, 0.7], [-0.6, 0.9]])
 LOUD = slice(400, 700)
+HELD = {"intersample": "zoh", "delay": 0.0}  # how inputs arrive, where nothing is to be learned of it
 
 
 def velocities(u):
@@ -45,7 +46,7 @@ def fits():
         u, y = recorded(seed, [10.0])
         gap = y.copy()
         gap[:, LOUD] = np.nan
-        pairs.append([phc.pem((u, values), 2, dt=STEP, structure="free") for values in (y, gap)])
+        pairs.append([phc.pem((u, values), 2, dt=STEP, structure="free", **HELD) for values in (y, gap)])
     return pairs
 
 
@@ -105,8 +106,8 @@ def test_noise_that_looks_correlated_may_change():
     clean = velocities(u)
     noise = y - clean
     noise[1] += 0.3 * noise[0]
-    result = phc.pem((u, clean + noise), 2, dt=STEP, structure="free")
-    correlated = phc.pem((u, clean + noise), 2, dt=STEP, structure="free", noise="correlated")
+    result = phc.pem((u, clean + noise), 2, dt=STEP, structure="free", **HELD)
+    correlated = phc.pem((u, clean + noise), 2, dt=STEP, structure="free", noise="correlated", **HELD)
     assert changes_in(result)
     assert np.all(result.stderr["natural_frequencies"] < 0.5 * correlated.stderr["natural_frequencies"])
 
@@ -118,7 +119,7 @@ def test_the_last_loud_sample_is_no_outlier(sign):
     clean = velocities(u)
     y[:, 699] = clean[:, 699] + np.array([25.0 * sign, 0.1]) * 0.03 * clean.std(axis=1)
     y[:, 698] = clean[:, 698] + np.array([0.2, 0.1]) * 0.03 * clean.std(axis=1)
-    (finding,) = changes_in(phc.pem((u, y), 2, dt=STEP, structure="free"))
+    (finding,) = changes_in(phc.pem((u, y), 2, dt=STEP, structure="free", **HELD))
     assert abs(finding.values[2] - 400) < 5 and abs(finding.values[4] - 700) < 5
 
 
@@ -178,7 +179,7 @@ def test_noise_is_coloured_in_spans_in_which_little_goes_on(seed):
     u[340:350] = 1.0
     y = lfilter([0.0, 1 - np.exp(-1 / 8)], [1.0, -np.exp(-1 / 8)], u)
     y += np.where(k < 330, 0.03, 0.18) * lfilter([1.0], [1.0, -0.9], rng.standard_normal(600))
-    result = phc.pem((u, y), dt=1.0, quantity="free")
+    result = phc.pem((u, y), dt=1.0, quantity="free", **HELD)
     assert changes_in(result) and result.noise.orders[0] > 0 and result.states == 1
     assert abs(result.time_constants[0] - 8) < 3 * result.stderr["time_constants"][0] < 1.0
 

@@ -118,9 +118,9 @@ def test_shapes_of_fits_to_different_quantities_compare():
     motion = phc.forced_response(frame, 0.1 * np.arange(800), u, intersample="zoh").outputs
     velocity, acceleration = motion[0], motion[1:]
     # the port of the plant is the velocity of the first mass
-    mixed = phc.pem((u, np.stack([velocity, acceleration[1]])), 2, dt=0.1, structure="free",
-                    quantity=("velocity", "acceleration"))  # fmt: skip
-    same = phc.pem((u, acceleration), 2, dt=0.1, structure="free", quantity="acceleration")
+    known = {"dt": 0.1, "structure": "free", "intersample": "zoh", "noise": "white"}
+    mixed = phc.pem((u, np.stack([velocity, acceleration[1]])), 2, quantity=("velocity", "acceleration"), **known)
+    same = phc.pem((u, acceleration), 2, quantity="acceleration", **known)
     np.testing.assert_allclose(mixed.mac(same), np.eye(2), atol=1e-6)
 
 
@@ -256,7 +256,7 @@ def test_recordings_that_have_other_inputs_keep_the_names_of_all():
         recordings.append(ct.TimeResponseData(
             np.arange(400.0), y, inputs=u[k], issiso=True, input_labels=[f"hit {k + 1}"], output_labels=["v"]
         ))  # fmt: skip
-    found = phc.pem(recordings, 2, structure="classical", ports={"v": "hit 2"})
+    found = phc.pem(recordings, 2, structure="classical", ports={"v": "hit 2"}, noise="white", intersample="zoh")
     assert found.input_labels == ("hit 1", "hit 2") and found.residues.shape == (2, 1, 2)
     assert "hit 1" in found.summary() and "v:hit 2" in found.summary().replace("'", "")
 
@@ -389,7 +389,7 @@ def test_a_motion_before_the_input_is_estimated_where_it_shows():
     rng = np.random.default_rng(0)
     for start in ([0.2, 0.1, 0.0, 0.0], [5.0, 3.0, 0.0, 0.0]):  # less than what follows, and more
         y = phc.forced_response(plant, t, force, start, intersample="zoh").outputs + 0.01 * rng.standard_normal(800)
-        found = phc.pem((force, y), dt=0.2, structure="free")
+        found = phc.pem((force, y), dt=0.2, structure="free", noise="white", intersample="zoh")
         assert found.order == 2 and found.experiments[0].free_amplitudes.any()
         assert np.all(np.abs(found.damping_ratios - plant.damping_ratios) < 4.5 * found.stderr["damping_ratios"])
 

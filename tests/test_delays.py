@@ -47,7 +47,7 @@ def fitted(u, y, **options):
 
 
 def test_channels_that_are_skewed_keep_their_structure():
-    u, y, poles = skewed(0, (0.35, 0.75))
+    u, y, poles = skewed(0, (0.35, 0.75), samples=1000)
     result = fitted(u, y)
     assert (result.order, result.structure) == (3, "classical")
     assert np.all(np.abs(result.delay / DT - (0.35, 0.75)) < 4 * result.stderr["delay"] / DT)
@@ -224,7 +224,7 @@ def test_the_hold_of_an_input_is_told_together_with_its_delay(hold, seed):
     held = u[np.clip(np.floor(times + 1e-9).astype(int), 0, None)]
     fine = held if hold == "zoh" else np.interp(times, np.arange(1500), u)
     y = ((0.2 - 1.7j) * lfilter([0, (z - 1) / p], [1, -z], fine + 0j)).real[::FINE]
-    result = phc.pem((u, y + 0.01 * np.std(y) * rng.standard_normal(1500)), dt=1.0)
+    result = phc.pem((u, y + 0.01 * np.std(y) * rng.standard_normal(1500)), dt=1.0, noise="white")
     assert (result.intersample, result.structure) == (hold, "free")
     assert ("HOLD" in [finding.cause.name for finding in result.findings]) == (hold == "foh")
     assert abs(result.delay[0] - 2.4) < 0.05 and abs(result.poles[0] - p) < 0.01
@@ -238,7 +238,7 @@ def late_lag():
     z = np.exp(-1 / (4 * FINE))
     fine = lfilter([0.0, 1 - z], [1.0, -z], np.repeat(u, FINE))
     y = np.append(np.zeros(52), fine)[: len(fine)][::FINE] + 0.02 * rng.standard_normal(len(u))
-    return phc.pem((u, y), 0, dt=DT, real_poles=1, quantity="free", intersample="zoh")
+    return phc.pem((u, y), 0, dt=DT, real_poles=1, quantity="free", intersample="zoh", noise="white")
 
 
 def test_a_lag_tells_where_within_a_sample_its_dead_time_is(late_lag):
@@ -256,7 +256,8 @@ def test_the_part_of_a_sample_by_which_a_lag_is_late_is_no_second_lag(seed, each
     z = np.exp(-1 / (10 * FINE))
     fine = lfilter([0.0, 1 - z], [1.0, -z], np.repeat(u, FINE))
     y = np.append(np.zeros(FINE // 2), fine)[: len(fine)][::FINE]
-    result = phc.pem((u, y + 0.02 * np.std(y) * rng.standard_normal(300)), dt=1.0, quantity="free")
+    y += 0.02 * np.std(y) * rng.standard_normal(300)
+    result = phc.pem((u, y), dt=1.0, quantity="free", noise="white")
     assert (result.order, len(result.real_poles)) == (0, 1)
     assert abs(result.delay[0] - 0.5) < 3 * result.stderr["delay"][0] < 0.2
 
@@ -342,7 +343,7 @@ def test_outputs_with_dead_times_of_their_own_share_lags(late, time_constants):
     rng, u = switched(0, 400)
     y = np.array([lagging(u, *pair) for pair in zip(time_constants, late, strict=True)])
     y += 0.03 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
-    result = phc.pem((u, y), dt=1.0, quantity="free")
+    result = phc.pem((u, y), dt=1.0, quantity="free", noise="white", intersample="zoh")
     assert result.states == len(set(time_constants))
     np.testing.assert_allclose(result.delay, late, atol=0.2)
 
@@ -353,7 +354,7 @@ def test_exact_data_show_a_dead_time_and_nothing_that_is_fed_through(lags):
     y = u
     for place, time_constant in enumerate(lags):
         y = lagging(y, time_constant, 0 if place else 4)
-    result = phc.pem((u, y), dt=1.0, quantity="free")
+    result = phc.pem((u, y), dt=1.0, quantity="free", noise="white")
     assert result.delay[0] == pytest.approx(3 + len(lags)) and result.intersample == "zoh"
     np.testing.assert_allclose(np.sort(result.time_constants), sorted(lags))
     np.testing.assert_array_equal(result.system.D, 0.0)
@@ -364,7 +365,7 @@ def test_errors_are_those_of_the_noise_beside_the_delay_where_a_search_ended():
     rng, u = switched(1, 300)
     y = lagging(u, 15, 4)
     y += 1e-3 * y.std() * rng.standard_normal(300)
-    result = phc.pem((u, y), dt=1.0, quantity="free")
+    result = phc.pem((u, y), dt=1.0, quantity="free", noise="white")
     assert result.stderr["time_constants"][0] < 0.01 and result.stderr["delay"][0] < 0.002
     assert abs(result.time_constants[0] - 15) < 3 * result.stderr["time_constants"][0]
 
@@ -374,7 +375,8 @@ def test_phases_of_a_few_lines_are_no_delay():
     u = sum(np.sin(w * t + rng.uniform(0, 2 * np.pi)) for w in (0.05, 0.15, 0.4, 0.55, 0.9))
     plant = ct.c2d(ct.tf([0.25], np.polymul([15, 1], [1, 0.1, 0.25])), 1.0, "foh")
     y = ct.forced_response(plant, None, u).outputs
-    result = phc.pem((u, y + 0.03 * y.std() * rng.standard_normal(1000)), dt=1.0, quantity="free")
+    y += 0.03 * y.std() * rng.standard_normal(1000)
+    result = phc.pem((u, y), dt=1.0, quantity="free", noise="white")
     assert not result.delay.any() and result.states == 3
     assert abs(result.time_constants[0] - 15) < 4 * result.stderr["time_constants"][0]
 
@@ -389,7 +391,7 @@ def late_by(seed, delay, time_constant, noise, samples=1200):
     return u, y + noise * y.std() * rng.standard_normal(samples)
 
 
-@pytest.mark.parametrize(("seed", "delay"), [(0, 31.35), (1, 42.8)])
+@pytest.mark.parametrize(("seed", "delay"), [(1, 42.8), *slowly((0, 31.35))])
 def test_parts_of_a_sample_are_told_of_long_delays(seed, delay):
     u, y = late_by(seed, delay, 60.0, 0.005)
     result = phc.pem((u, y), dt=1.0)
@@ -399,9 +401,9 @@ def test_parts_of_a_sample_are_told_of_long_delays(seed, delay):
 
 
 def test_outputs_may_be_sampled_less_often_than_inputs():
-    u, y = late_by(1, 23.85, 55.0, 0.03, 1500)
-    seen = np.where(np.arange(1500) % 10 == 0, y, np.nan)
-    result = phc.pem((u, seen), dt=1.0)
+    u, y = late_by(1, 23.85, 55.0, 0.03, 1000)
+    seen = np.where(np.arange(1000) % 10 == 0, y, np.nan)
+    result = phc.pem((u, seen), dt=1.0, noise="white", intersample="zoh")
     assert (result.order, len(result.real_poles)) == (0, 1)
     np.testing.assert_allclose(result.time_constants, 55.0, rtol=0.06)
     np.testing.assert_allclose(result.delay, 23.85, atol=3.0)
@@ -414,7 +416,7 @@ def test_what_is_fed_through_may_come_late(seed, structure):
     u = np.repeat(rng.choice([-1.0, 1.0], 41), 20)[:800]
     y = 0.5 * np.concatenate([np.zeros(8), u[:-8]]) + 0.5 * lagging(u, 20, 8)
     y += 0.01 * y.std() * rng.standard_normal(800)
-    result = phc.pem((u, y), dt=1.0, quantity="free", structure=structure)
+    result = phc.pem((u, y), dt=1.0, quantity="free", structure=structure, noise="white", intersample="zoh")
     assert (result.order, len(result.real_poles), result.delay[0]) == (0, 1, 8.0)
     np.testing.assert_allclose(result.system.D, 0.5, rtol=0.02)
     np.testing.assert_allclose(result.time_constants, 20.0, rtol=0.02)

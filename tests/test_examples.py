@@ -11,10 +11,7 @@ from slow import slowly
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # the gallery of the documentation runs all of them
-QUICK = {
-    "crystal_circuit", "filter_bank", "hammer_to_damper", "lc_circuit", "quartz_crystal", "steel_frame",
-    "tuned_absorber",
-}  # fmt: skip
+QUICK = {"hammer_to_damper", "lc_circuit", "tuned_absorber"}
 
 
 def shown() -> set[str]:

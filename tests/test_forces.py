@@ -12,6 +12,7 @@ import ph_control as phc
 W, ZETA = np.array([0.6, 1.1, 1.7]), np.array([0.012, 0.008, 0.015])
 SHAPES = np.array([[0.8, 1.0, -0.7], [1.2, -0.5, 0.9], [0.6, -1.1, -0.8]])  # of three floors, a column each mode
 PORTS = [(0, 0)]
+HELD = {"intersample": "zoh", "delay": 0.0}  # how inputs arrive, where nothing is to be learned of it
 
 
 def steps():
@@ -61,11 +62,12 @@ def fit_of(data, *order, **options):
 @pytest.fixture(scope="module")
 def forced():
     """The fit of a record in which forces make three tenths of the outputs."""
-    return fit_of(record(0, forces=0.3))
+    return fit_of(record(0, forces=0.3), 3, real_poles=0, noise="forces", **HELD)
 
 
 @pytest.mark.slow
-def test_forces_are_named_with_their_share_and_add_no_modes(forced):
+def test_forces_are_named_with_their_share_and_add_no_modes():
+    forced = fit_of(record(0, forces=0.3))
     assert forced.order == 3 and not len(forced.real_poles) and forced.structure == "classical"
     (finding,) = (finding for finding in forced.findings if finding.cause.name == "FORCES")
     np.testing.assert_allclose(finding.values, 0.3 / np.hypot(1, 0.3), atol=0.1)
@@ -150,7 +152,7 @@ def test_a_file_keeps_the_noise_of_forces(forced, tmp_path):
 def test_slow_noise_of_a_sensor_is_no_force(outputs):
     rng, (u, y) = np.random.default_rng(4), record(4, sensors=0.0)
     slow = lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], rng.standard_normal((3, 3000)))[:, 1000:]
-    result = fit_of((u, (y + 0.3 * y.std() * slow)[:outputs]))
+    result = fit_of((u, (y + 0.3 * y.std() * slow)[:outputs]), **HELD)
     assert result.order == 3 and "FORCES" not in causes(result)
     np.testing.assert_allclose(result.damping_ratios, ZETA, atol=5 * result.stderr["damping_ratios"].max())
 
@@ -160,7 +162,7 @@ def test_slow_noise_is_no_force_where_it_makes_poles_grow_in_white_noise():
     t, u = 0.1 * np.arange(1000), rng.standard_normal(1000)
     y = phc.forced_response(plant, t, u, intersample="zoh").outputs
     slow = lfilter([0.2], [1.0, -0.95], np.random.default_rng(2).standard_normal(1500))[500:]
-    result = phc.pem((u, y + slow), 2, dt=0.1)
+    result = phc.pem((u, y + slow), 2, dt=0.1, **HELD)
     assert "FORCES" not in causes(result)
     errors = result.natural_frequencies - np.sort(np.abs(plant.poles().imag))[::2]
     assert np.all(np.abs(errors) < 4 * result.stderr["natural_frequencies"])
@@ -224,9 +226,9 @@ def test_samples_are_missing_beside_forces(share, outputs, samples):
     """Scattered samples that are missing take the modes and their errors nowhere."""
     u, y = record(4, samples, forces=0.3)
     y = y[:outputs]
-    whole = fit_of((u, y), 3, real_poles=0)
+    whole = fit_of((u, y), 3, real_poles=0, **HELD)
     y[np.random.default_rng(4).random(y.shape) < share] = np.nan
-    result = fit_of((u, y))
+    result = fit_of((u, y), **HELD)
     assert result.order == 3 and not len(result.real_poles) and {"FORCES"} <= causes(result) <= {"FORCES", "LOSSES"}
     errors = result.stderr["damping_ratios"]
     assert np.all(np.abs(result.damping_ratios - ZETA) < 3 * errors)
@@ -244,7 +246,7 @@ def test_forces_that_do_nothing_at_frequency_zero_leave_errors_that_hold():
         z = np.exp(pole * step)
         y += shape[:, None] * lfilter([0, 1], [1, -z], (z - 1) / pole * (drive @ forces)).real
     y += 0.02 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
-    result = phc.pem((forces[:1], y), 3, dt=step, real_poles=0)
+    result = phc.pem((forces[:1], y), 3, dt=step, real_poles=0, **HELD)
     assert "FORCES" in causes(result)
     assert np.all(np.abs(result.damping_ratios - zeta) < 3 * result.stderr["damping_ratios"])
     assert np.all(result.stderr["damping_ratios"] < 0.01)
@@ -311,7 +313,7 @@ def missed(result, u, clean):
 )
 def test_forces_are_found_where_white_noise_tells_little_of_the_plant(seed, plant, most):
     u, y, clean = shaken(seed, **plant)
-    result = phc.pem((u, y), dt=1.0)
+    result = phc.pem((u, y), dt=1.0, **HELD)
     assert causes(result) >= {"FORCES"}
     assert result.order == plant.get("modes", 2)
     assert missed(result, u, clean) < most
@@ -392,5 +394,5 @@ def test_poles_that_stand_for_coloured_noise_do_not_grow():
 
 def test_the_noise_of_states_of_any_size_is_a_covariance():
     u, y, _ = shaken(149)
-    result = phc.pem((u, y), dt=1.0, intersample="zoh", delay=0.0)
+    result = phc.pem((u, y), dt=1.0, **HELD)
     assert result.order == 2 and np.all(np.linalg.eigvalsh(result.noise.forces) >= -1e-9 * result.noise.forces.max())

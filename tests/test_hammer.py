@@ -37,7 +37,7 @@ def hit(seed, *, noise, background=0.0, outputs=1):
 def test_noise_of_the_force_between_hits_is_no_force(seed, outputs):
     given = [hit([seed, k], noise=0.2, outputs=outputs) for k in range(3)]
     kept = [one.u.copy() for one in given]
-    result = phc.pem(given, order="auto", **KNOWN)
+    result = phc.pem(given, order="auto", max_order=4, **KNOWN)
     assert result.order == 3 and names(result).count("HAMMER_NOISE") == 1
     (finding,) = [one for one in result.findings if one.cause.name == "HAMMER_NOISE"]
     assert finding.values[0] == pytest.approx(0.2, rel=0.1) and 0.6 * PEAK < finding.values[1] < 1.1 * PEAK
@@ -136,7 +136,7 @@ def errors_beside_force_noise(theta, hits, spread, noise):
 @pytest.mark.parametrize(("count", "spread"), [(1, 0.3), (3, 0.3), (2, 0.9)])
 def test_errors_of_the_force_within_contacts_are_in_those_of_shapes(count, spread):
     given = [hit([8, k], noise=spread) for k in range(count)]
-    result = phc.pem(given, initial_state="zero", quantity="velocity", **KNOWN)
+    result = phc.pem(given, max_order=4, initial_state="zero", quantity="velocity", **KNOWN)
     assert result.order == 3 and result.structure == "classical" and "FORCES" not in names(result)
     (finding,) = [each for each in result.findings if each.cause.name == "CONTACT_NOISE"]
     assert finding.values[0] == pytest.approx(spread, rel=0.1) and finding.values[2] > 2

@@ -45,12 +45,29 @@ def write(path, k):
     return path
 
 
+def six(folder):
+    """Six recordings, the third of which is none."""
+    paths = [write(folder / f"{k:02d}.csv", k) for k in range(6)]
+    paths[2].write_text("t,u,y\n0,1,2\n0,1,2\n")
+    return paths
+
+
 @pytest.fixture
 def files(tmp_path):
-    """Six recordings, the third of which is none."""
-    found = [write(tmp_path / f"{k:02d}.csv", k) for k in range(6)]
-    found[2].write_text("t,u,y\n0,1,2\n0,1,2\n")
-    return found
+    """Six recordings that a test may change."""
+    return six(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """Six recordings that stay as they are."""
+    return six(tmp_path_factory.mktemp("recordings"))
+
+
+@pytest.fixture(scope="module")
+def fits(kept):
+    """Their table."""
+    return phc.fit_many(kept, **OPTIONS)
 
 
 def same(one, other):
@@ -61,11 +78,10 @@ def same(one, other):
 # --- the table -------------------------------------------------------------------------------------------------------
 
 
-def test_a_row_for_each_recording_and_mode_in_their_order(files):
-    fits = phc.fit_many(files, **OPTIONS)
+def test_a_row_for_each_recording_and_mode_in_their_order(kept, fits):
     assert fits.complete and fits.table["recording"].tolist() == list(range(6))
-    assert fits.table["name"].tolist() == [str(one) for one in files]
-    one, row = phc.pem(phc.read_csv(files[4]), **OPTIONS), fits.table[4]
+    assert fits.table["name"].tolist() == [str(one) for one in kept]
+    one, row = phc.pem(phc.read_csv(kept[4]), **OPTIONS), fits.table[4]
     assert (row["hertz"], row["damping_ratio"], row["fit_percent"]) == (one.hertz[0], 0.0, one.fit_percent)
     assert row["hertz_stderr"] == one.stderr["natural_frequencies"][0] / (2 * np.pi)
     assert (row["structure"], row["order"], row["mode"], row["message"]) == ("lossless", 1, 0, one.verdict)
@@ -82,8 +98,7 @@ def test_a_failure_is_a_row_with_its_message(files):
     assert len(str(fits).splitlines()) == 2 + 8
 
 
-def test_a_long_table_is_printed_with_all_that_failed(files):
-    fits = phc.fit_many(files, **OPTIONS)
+def test_a_long_table_is_printed_with_all_that_failed(fits):
     table = np.repeat(fits.table, [30, 30, 1, 30, 30, 30])
     lines = str(replace(fits, table=table)).splitlines()
     assert len(lines) == 2 + 20 + 3 + 20 and "it must increase" in lines[2 + 21]
@@ -166,9 +181,8 @@ def test_a_callback_is_told_of_each_recording(files):
     assert told[3].name == str(files[3]) and told[3].message == "consistent with the record"
 
 
-def test_a_data_frame_has_the_fields_as_columns(files):
+def test_a_data_frame_has_the_fields_as_columns(fits):
     pandas = pytest.importorskip("pandas", reason="pandas is not installed")
-    fits = phc.fit_many(files, **OPTIONS)
     frame = fits.to_pandas()
     assert isinstance(frame, pandas.DataFrame) and list(frame.columns) == list(fits.table.dtype.names)
     assert frame["hertz"].tolist()[3:] == fits.table["hertz"].tolist()[3:]
@@ -261,12 +275,11 @@ def read_or_die(path):
     return phc.read_csv(path)
 
 
-def test_a_killed_process_is_replaced_and_loses_nothing(files, tmp_path):
-    store = tmp_path / "results"
+def test_a_killed_process_is_replaced_and_loses_nothing(files, fits, tmp_path):
+    store, here = tmp_path / "results", fits
     fits = phc.fit_many(files, reader=read_or_die, workers=2, store=store, **OPTIONS)
     assert fits.table["recording"].tolist() == list(range(6))
     assert fits.failures["recording"].tolist() == [2, 4] and "died" in fits.failures["message"][1]
-    here = phc.fit_many(files, **OPTIONS)
     well = np.delete(np.arange(6), [2, 4])
     assert fits.table["hertz"][well].tolist() == here.table["hertz"][well].tolist()
     assert {one.suffix for one in store.iterdir()} == {".json"} and len(written(store)) == 4
@@ -477,7 +490,9 @@ def test_callbacks_and_titles_of_other_kinds_are_refused_before_a_fit(tmp_path):
     with pytest.raises(phc.StructureError, match="callback is 'told'; pass a function"):
         phc.fit_many([(np.ones(9), np.arange(9.0))], dt=1.0, callback="told")
     u = np.random.default_rng(0).standard_normal(200)
-    result = phc.pem((u, np.cumsum(u)), 1, dt=1.0, structure="free", quantity="free")
+    result = phc.pem(
+        (u, np.cumsum(u)), 1, dt=1.0, structure="free", quantity="free", intersample="zoh", delay=0.0, noise="white"
+    )
     for title in (np.ones(2), NotImplemented, 3):
         with pytest.raises(phc.StructureError, match="pass a text"):
             result.report(tmp_path / "fit.html", title=title)

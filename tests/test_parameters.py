@@ -16,6 +16,7 @@ from ph_control import StructureError
 
 DT = 0.05
 SPRINGS = np.array([100.0, 120.0, 90.0])
+KNOWN = {"dt": DT, "quantity": "displacement", "intersample": "zoh", "delay": 0.0}
 
 
 def chain(k):
@@ -47,9 +48,7 @@ def record(seed=0, samples=1500, noise=0.05, driven=True):
 
 @functools.cache
 def fitted():
-    return phc.pem(
-        record(), dt=DT, quantity="displacement", intersample="zoh", model=chain, parameters=np.full(3, 80.0)
-    )
+    return phc.pem(record(), 3, **KNOWN, model=chain, parameters=np.full(3, 80.0))
 
 
 def deviations(result, truth):
@@ -100,9 +99,7 @@ def test_a_true_function_stands_within_the_free_model_and_a_wrong_one_does_not()
     def without_wall(k):
         return chain(np.array([k[0], k[0], k[1]]))
 
-    wrong = phc.pem(
-        record(), dt=DT, quantity="displacement", intersample="zoh", model=without_wall, parameters=[100.0, 100.0]
-    )
+    wrong = phc.pem(record(), 3, **KNOWN, model=without_wall, parameters=[100.0, 100.0])
     (test,) = fitted().tests
     assert test.hypothesis == "parametric" and test.p > 0.001 and test.dof > 10
     assert wrong.tests[0].p < 1e-10
@@ -155,10 +152,7 @@ def test_a_combination_without_a_trace_is_named_and_the_rest_keeps_its_error():
     def twice(theta):
         return chain(np.array([100.0, theta[0] * theta[1], theta[2]]))
 
-    result = phc.pem(
-        record(), dt=DT, quantity="displacement", intersample="zoh", model=twice,
-        parameters={"area": 10.0, "modulus": 11.0, "k3": 80.0},
-    )  # fmt: skip
+    result = phc.pem(record(), 3, **KNOWN, model=twice, parameters={"area": 10.0, "modulus": 11.0, "k3": 80.0})
     (finding,) = [each for each in result.findings if each.cause.name == "UNIDENTIFIED"]
     assert "area" in finding.output and "modulus" in finding.output and "k3" not in finding.output
     errors = result.stderr["parameters"]
@@ -169,7 +163,7 @@ def test_a_combination_without_a_trace_is_named_and_the_rest_keeps_its_error():
 
 def test_a_parameter_at_a_bound_is_held_there_and_told():
     result = phc.pem(
-        record(), dt=DT, quantity="displacement", intersample="zoh", model=chain, parameters=[100.0, 100.0, 80.0],
+        record(), 3, **KNOWN, model=chain, parameters=[100.0, 100.0, 80.0],
         bounds=([50.0, 50.0, 50.0], [200.0, 110.0, 200.0]),
     )  # fmt: skip
     (finding,) = [each for each in result.findings if each.cause.name == "PARAMETER_BOUND"]
@@ -356,9 +350,7 @@ def windy(seed, colour, samples=1200):
 @pytest.mark.parametrize("colour", [0.0, *slowly(0.9)])
 @pytest.mark.parametrize("seed", [0, *slowly(1, 2)])
 def test_springs_are_found_beside_forces_that_nobody_measured(seed, colour):
-    result = phc.pem(
-        windy(seed, colour), dt=DT, quantity="displacement", intersample="zoh", model=chain, parameters=np.full(3, 80.0)
-    )
+    result = phc.pem(windy(seed, colour), 3, **KNOWN, model=chain, parameters=np.full(3, 80.0))
     assert "FORCES" in [finding.cause.name for finding in result.findings]
     assert np.all(np.abs(deviations(result, SPRINGS)) < 4)
     assert np.all(result.stderr["parameters"] < 0.01 * SPRINGS)

@@ -523,11 +523,11 @@ def results():
     def stop(progress):
         raise StopIteration
 
-    noise = np.random.default_rng(1).standard_normal((2, 200))
+    noise, known = np.random.default_rng(1).standard_normal((2, 200)), {"intersample": "zoh", "delay": 0.0}
     return {
         "one": phc.pem((u, y), 3, dt=0.1),
-        "several": phc.pem([(u, y), (None, free_record(150, 1, 0.1)[0])], 3, dt=0.1, offset=True),
-        "sensor": phc.pem((u, y), 3, dt=0.1, quantity="displacement", representation="controllable"),
+        "several": phc.pem([(u, y), (None, free_record(150, 1, 0.1)[0])], 3, dt=0.1, offset=True, **known),
+        "sensor": phc.pem((u, y), 3, dt=0.1, quantity="displacement", representation="controllable", **known),
         "free": phc.pem((None, free_record(150, 1, 0.1)[0]), dt=0.1),
         "response": phc.pem(ct.FrequencyResponseData(response, omega), 3),
         "interrupted": phc.pem((u, y), 3, dt=0.1, callback=stop),

@@ -254,6 +254,7 @@ def test_the_command_line_fits_channels_and_names_ports(tmp_path, monkeypatch):
     table = np.column_stack([np.arange(300.0), u.T, y.T])
     np.savetxt(tmp_path / "r.csv", table, delimiter=",", header="t,f,g,a,b,c", comments="")
     words = ["fit", tmp_path / "r.csv", "--order", 2, "--inputs", "f,g", "--outputs", "a,b,c", "--ports", "a:f,b:g"]
+    words[2:2] = ["--intersample", "zoh"]
     done = run(*words, "--model", tmp_path / "m.json", "--result", tmp_path / "x.json", "--bode", tmp_path / "b.png")
     assert done.status == 0 and "classical" in done.out and "damping [%]" in done.out
     found = phc.load(tmp_path / "x.json")

@@ -9,6 +9,8 @@ from slow import slowly
 
 import ph_control as phc
 
+HELD = {"intersample": "zoh", "delay": 0.0}  # how inputs arrive, where nothing is to be learned of it
+
 
 def causes(result):
     return {one.cause.name: one for one in result.findings}
@@ -88,7 +90,7 @@ def test_hits_keep_their_shapes_where_the_recorded_force_is_noisy():
 @pytest.mark.variants
 @pytest.mark.parametrize("noise", ["input", "forces"])
 def test_noise_that_comes_through_the_modes_is_told_with_its_size(noise):
-    result = phc.pem(recording(2, 1, 1, noise, 0, 3000), 2, dt=1.0, structure="free")
+    result = phc.pem(recording(2, 1, 1, noise, 0, 3000), 2, dt=1.0, structure="free", **HELD)
     finding = causes(result)["FORCES"]
     np.testing.assert_allclose(finding.values, [0.1], rtol=0.25)
     assert finding.gain > 100 and "move the plant" in result.message and result.outcome.name == "CONSISTENT"
@@ -143,7 +145,7 @@ def test_white_residuals_are_told_as_nothing():
 @pytest.mark.variants
 @pytest.mark.parametrize(("outputs", "inputs"), SIZES)
 def test_a_value_far_out_of_the_noise_is_told_with_its_output(outputs, inputs):
-    result = phc.pem(recording(2, outputs, inputs, "outlier", 1), 2, dt=1.0, structure="free")
+    result = phc.pem(recording(2, outputs, inputs, "outlier", 1), 2, dt=1.0, structure="free", **HELD)
     finding = causes(result)["OUTLIERS"]
     assert (finding.values, finding.output) == ((333,), result.output_labels[0])
     assert "mark them with NaN" in result.message and result.outcome.name == "DOUBTFUL"
@@ -165,12 +167,12 @@ def test_an_output_that_saturates_is_told_with_the_ends_of_its_range():
     u, y = recording(2, 2, 1, "white", 1)
     end = 0.6 * np.abs(y[1]).max()
     clipped = np.array([y[0], np.clip(y[1], -end, end)])
-    result = phc.pem((u, clipped), 2, dt=1.0, structure="free")
+    result = phc.pem((u, clipped), 2, dt=1.0, structure="free", **HELD)
     finding = causes(result)["SATURATION"]
     assert finding.values == (np.count_nonzero(np.abs(y[1]) >= end), -end, end)
     assert finding.output == result.output_labels[1] and "saturates" in result.message
     coarse = np.round(y * 20 / np.abs(y).max())
-    assert "SATURATION" not in causes(phc.pem((u, coarse), 2, dt=1.0, structure="free"))
+    assert "SATURATION" not in causes(phc.pem((u, coarse), 2, dt=1.0, structure="free", **HELD))
 
 
 @pytest.mark.slow
@@ -207,9 +209,9 @@ def test_a_point_far_out_of_the_noise_is_told_with_its_entry():
 def test_the_order_is_that_of_the_least_error_over_what_is_held_out(outputs, inputs):
     assert phc.pem(response(3, outputs, inputs, "constant", 0), criterion="holdout", structure="free").order == 3
     u, y = recording(3, outputs, inputs, "white", 0, 600)
-    assert phc.pem((u, y), dt=1.0, criterion="holdout", structure="free").order == 3
+    assert phc.pem((u, y), dt=1.0, criterion="holdout", structure="free", **HELD).order == 3
     y[0, 450:] = np.nan
-    assert phc.pem((u, y), dt=1.0, criterion="holdout", structure="free").order == 3
+    assert phc.pem((u, y), dt=1.0, criterion="holdout", structure="free", **HELD).order == 3
 
 
 def test_a_part_of_which_nothing_was_measured_cannot_be_foretold():

@@ -74,9 +74,10 @@ def test_real_poles_are_estimated_with_errors_that_hold(name):
 
 def test_the_number_of_real_poles_may_be_given():
     _, _, u, y = recording("motor")
-    (slow,) = phc.pem((u, y), dt=H, real_poles=1, max_order=1, structure="free", intersample="zoh").real_poles
+    known = {"dt": H, "intersample": "zoh", "delay": 0.0}
+    (slow,) = phc.pem((u, y), real_poles=1, max_order=1, structure="free", **known).real_poles
     assert -3.0 < slow < -0.3  # the other one is left to coloured noise
-    assert phc.pem((u, y), dt=H, real_poles=2, intersample="zoh", delay=0.0).states == 2
+    assert phc.pem((u, y), real_poles=2, **known).states == 2
     for wrong in (-1, 1.5, "some"):
         with pytest.raises(phc.StructureError, match="real_poles"):
             phc.pem((u, y), dt=H, real_poles=wrong)
@@ -152,7 +153,7 @@ def test_a_fit_with_real_poles_predicts_and_comes_back_from_a_file(tmp_path):
 
 def test_draws_of_a_fit_with_real_poles_have_its_errors():
     *_, u, y = recording("lag beside a mode")
-    result = phc.pem((u, y), dt=H, structure="free")
+    result = phc.pem((u, y), dt=H, structure="free", noise="white", intersample="zoh")
     draws = result.sample(800, rng=0)
     assert np.allclose(draws.poles[:, 1].imag, 0.0)
     assert abs(np.std(draws.poles[:, 1].real) / result.stderr["real_poles"][0] - 1) < 0.15
@@ -203,7 +204,7 @@ def test_a_lag_that_is_over_within_two_samples_is_one_lag():
 @pytest.mark.variants
 @pytest.mark.parametrize("structure, seed", [("lossless", 1), ("auto", 2), ("auto", 4)])
 def test_a_cart_that_rolls_beside_a_mode_is_lossless(structure, seed):
-    result = phc.pem(carts(seed=seed, push=0.5 * seed), dt=0.1, structure=structure)
+    result = phc.pem(carts(seed=seed, push=0.5 * seed), dt=0.1, structure=structure, noise="white", intersample="zoh")
     assert result.structure == "lossless" and result.outcome.name == "CONSISTENT"
     assert result.poles[1] == 0
     np.testing.assert_allclose(result.poles[0], 2.0j, atol=2e-3)
@@ -267,7 +268,8 @@ def test_a_pair_without_a_peak_may_be_two_real_poles_under_a_structure():
     u = rng.standard_normal(2000)
     plant = ct.tf([1.0, 0.0], np.poly([-0.3, -2.0]))
     y = ct.forced_response(ct.c2d(ct.ss(plant), 0.1), t, u).outputs
-    result = phc.pem((u, y + 0.03 * y.std() * rng.standard_normal(2000)), 2, dt=0.1, real_poles=0)
+    y += 0.03 * y.std() * rng.standard_normal(2000)
+    result = phc.pem((u, y), 2, dt=0.1, real_poles=0, noise="white", intersample="zoh")
     assert result.fit_percent > 95
 
 
@@ -286,7 +288,7 @@ def test_what_is_fed_through_stands_out_of_its_error():
     rng = np.random.default_rng(1)
     u, noise, z = rng.standard_normal(300), 0.1 * rng.standard_normal(300), np.exp(-0.2)
     y = lfilter([0, 1 - z], [1, -z], u) + noise
-    options = {"dt": 0.1, "real_poles": 1, "intersample": "zoh", "quantity": "free"}
+    options = {"dt": 0.1, "real_poles": 1, "intersample": "zoh", "quantity": "free", "noise": "white"}
     # true values of 0 and of 5 standard errors, whose estimates are 2 and 7 of them
     assert phc.pem((u, y), 0, **options).feedthrough == 0
     np.testing.assert_allclose(phc.pem((u, y + 0.03 * u), 0, **options).feedthrough, 0.03, atol=0.012)
@@ -298,6 +300,6 @@ def test_a_lag_of_negative_gain_is_fitted_with_its_sign(seed, colour):
     u = np.repeat(rng.choice([-1.0, 1.0], samples // 5), 5)
     clean = -lfilter([0, 0.1], [1, -0.9], u)
     noise = lfilter([1], [1, -colour], rng.standard_normal(samples))
-    result = phc.pem((u, clean + 0.1 * clean.std() * noise / noise.std()), dt=1.0)
+    result = phc.pem((u, clean + 0.1 * clean.std() * noise / noise.std()), dt=1.0, intersample="zoh")
     assert result.structure == "free" and result.fit_percent > 85
     np.testing.assert_allclose(ct.dcgain(result.system), -1, rtol=0.05)

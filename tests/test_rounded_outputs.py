@@ -5,6 +5,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.signal import lfilter
 from scipy.stats import norm
+from slow import slowly
 
 import ph_control as phc
 
@@ -61,7 +62,7 @@ def test_a_mode_is_the_only_one_in_few_levels():
     np.testing.assert_allclose(result.poles, -0.01 + 0.31j, rtol=2e-3)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.15, 0.3])
+@pytest.mark.parametrize("noise", [0.0, 0.3, *slowly(0.15)])
 def test_errors_of_rounded_outputs_hold(noise):
     deviations = []
     for seed in range(6):
@@ -141,7 +142,7 @@ def test_a_broad_mode_is_no_random_walk_of_steps():
     # each sample foretells the next to less than what rounding leaves
     u, damping, size = step_input(600), 0.25, np.exp((-0.25 + 1j * np.sqrt(1 - 0.25**2)) / 15.0)
     y = 3.0 * lfilter([0, 1 - 2 * size.real + abs(size) ** 2], [1, -2 * size.real, abs(size) ** 2], u)
-    result = phc.pem((u, rounded(y, 60)[0]), dt=1.0)
+    result = phc.pem((u, rounded(y, 60)[0]), dt=1.0, intersample="zoh", delay=0.0)
     assert (result.order, len(result.real_poles)) == (1, 0)
     np.testing.assert_allclose(result.damping_ratios, damping, rtol=0.05)
 
@@ -150,6 +151,6 @@ def test_a_broad_mode_beside_steps_of_a_tenth_of_the_range_is_not_noise():
     rng = np.random.default_rng(34)
     u, damping, size = steps_up_and_down(rng, hold=50), 0.32, np.exp((-0.32 + 1j * np.sqrt(1 - 0.32**2)) / 15.0)
     y = 2.0 * lfilter([0, 1 - 2 * size.real + abs(size) ** 2], [1, -2 * size.real, abs(size) ** 2], u)
-    result = phc.pem((u, rounded(y, 10, 0.2, 0.1, rng)[0]), dt=1.0)
+    result = phc.pem((u, rounded(y, 10, 0.2, 0.1, rng)[0]), dt=1.0, intersample="zoh", delay=0.0)
     assert (result.order, len(result.real_poles)) == (1, 0)
     np.testing.assert_allclose(result.damping_ratios, damping, rtol=0.1)

@@ -141,9 +141,10 @@ def test_covariance_of_a_plant_at_rest_has_no_states():
 
 
 def test_a_weight_held_at_zero_has_no_error_and_its_mode_no_state():
+    known = {"dt": 0.1, "intersample": "zoh", "delay": 0.0, "noise": "white"}
     u, y = recording(800, 0.1, 1, noise=0.05)
     y = y - predicted(np.array([5.0]), np.array([0.1]), np.array([8.0, 0.0]), u, 0.1)
-    result = lossless_fit((u, y), N + 1, dt=0.1)
+    result = lossless_fit((u, y), N + 1, **known)
     assert result.r[3] == 0 and abs(result.d[3] - 5.0) < 0.05
     for name in ("r", "kappa", "residues"):
         missing = np.isnan(result.stderr[name].ravel())
@@ -153,7 +154,7 @@ def test_a_weight_held_at_zero_has_no_error_and_its_mode_no_state():
     assert 0 < result.stderr["d"][3] < 0.01
     intervals = result.confidence_interval()
     assert np.isnan(intervals["r"][3]).all() and np.isfinite(intervals["d"]).all()
-    without = lossless_fit((u, y + predicted(result.d[3:], np.array([1e-9]), 0 * result.d[:2], u, 0.1)), N + 1, dt=0.1)
+    without = lossless_fit((u, y + predicted(result.d[3:], np.array([1e-9]), 0 * result.d[:2], u, 0.1)), N + 1, **known)
     assert np.allclose(without.stderr["d"], result.stderr["d"], rtol=1e-3)
 
 

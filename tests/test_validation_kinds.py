@@ -77,7 +77,7 @@ def fit_of(y, predicted):
 @pytest.mark.parametrize("quantity", QUANTITIES)
 def test_a_plant_explains_all_of_its_noise_free_data_of_every_kind(quantity):
     data = experiments(quantity, offset=3.0)
-    fit = phc.pem(data, 2, dt=STEP, quantity=quantity, offset=True)
+    fit = phc.pem(data, 2, dt=STEP, quantity=quantity, offset=True, intersample="zoh", delay=0.0)
     found = phc.compare(data, fit, fit.observed_system, sensed(quantity), dt=STEP, offset=True)
     np.testing.assert_allclose(found.fit_percent, 100.0, atol=1e-8)
     assert found.own_record == (True, False, False)
@@ -95,7 +95,9 @@ def test_a_plant_explains_all_of_its_noise_free_data_of_every_kind(quantity):
     np.testing.assert_allclose(spectral.fit_percent, 100.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("options", [{}, {"offset": True}, {"initial_state": "zero", "delay": 0}])
+@pytest.mark.parametrize(
+    "options", [{}, {"offset": True}, {"initial_state": "zero", "delay": 0, "intersample": "zoh", "noise": "white"}]
+)
 def test_the_fit_of_a_result_on_its_own_experiments_is_that_of_the_fit(options):
     data = experiments("displacement", noise=0.2, offset=0.5)
     fit = phc.pem(data, 2, dt=STEP, quantity="displacement", **options)
@@ -234,7 +236,7 @@ def test_weights_count_by_their_proportions_and_missing_points_not_at_all(seed, 
 
 
 def two_step_fit():
-    return phc.pem(experiments(noise=0.1), 2, dt=STEP)
+    return phc.pem(experiments(noise=0.1), 2, dt=STEP, intersample="zoh", delay=0.0)
 
 
 @pytest.mark.parametrize(
