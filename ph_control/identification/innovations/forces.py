@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import compress
+from itertools import compress, islice
 
 import numpy as np
 from scipy.special import chdtrc
@@ -320,16 +320,17 @@ class _Predictors:
     @cached_property
     def starts(self) -> list[Start]:
         """Models of the likeliest predictors that have as many modes."""
-        rows, starts = self.rows, list[Start]()
+        return list(islice(self.models(), _CLOSE))
+
+    def models(self) -> Iterator[Start]:
+        """Models of predictors that have as many modes, those of the smallest BIC first."""
         for _, size, predictor in self._ranked:
-            noise = in_sections(*predictor.model(size), rows[0].hold.h, self.orders)
+            noise = in_sections(*predictor.model(size), self.rows[0].hold.h, self.orders)
             if noise is None or not self.orders.admit(noise.sections.p):
                 continue
-            start = _beside(self.free, rows, noise.sections, noise, self._fed(size, predictor))
-            starts += [] if start is None else [start]
-            if len(starts) == _CLOSE:
-                break
-        return starts
+            start = _beside(self.free, self.rows, noise.sections, noise, self._fed(size, predictor))
+            if start is not None:
+                yield start
 
     def _fed(self, states: int, predictor: PredictorStates) -> Mask | None:
         """What is fed through beside states: all, where present inputs foretell more than chance, or as was fitted."""
@@ -537,8 +538,8 @@ def _with_likeliest_samples(best: Minimum) -> Minimum:
 def _as_predicted(free: FreeFit, rows: Sequence[FreeRecord], orders: Orders) -> Sequence[FreeRecord]:
     """Rows with the values in place of missing samples that are likeliest by the predictors that are made from them."""
     for _ in range(_ROUNDS if any(part.filled is not None for part in rows) else 0):
-        starts = _Predictors(free, rows, orders).starts
-        problem = _completed(starts[0][0].evaluated(starts[0][1])) if starts else None
+        start = next(_Predictors(free, rows, orders).models(), None)
+        problem = None if start is None else _completed(start[0].evaluated(start[1]))
         if problem is None:
             break
         rows = problem.rows
