@@ -166,13 +166,14 @@ def on_time(fit: FreeFit, search: Search) -> FreeFit:
         if scan is not None and search.automatic:
             trials.compare_fewer_poles(scan)
         likely = [] if scan is None else scan.likely()
-        trials.compare(likely + ([] if trials.best.delay.any() else _shown_delays(trials.best)))
+        made = trials.compare(likely + ([] if trials.best.delay.any() else _shown_delays(trials.best)))
+        again = min(made, key=lambda fit: fit.criteria.bic / fit.projection.rows, default=before)
+        if trials.best is before and trials.loses_little(again):
+            trials.compare_near(again)
         if trials.best is before:
             break
-    best = trials.best
-    if not best.exact and best.delay.any():
-        near = sorted({*range(-_NEAR, _NEAR + 1)} - {0}, key=abs)
-        trials.compare([best.delay + trials.step * samples for samples in near], best.projection.p)
+    if not trials.best.exact and trials.best.delay.any():
+        trials.compare_near(trials.best)
     return trials.best
 
 
@@ -187,12 +188,15 @@ class _Trials:
     def _key(self, delay: Array, poles: ComplexArray | None) -> tuple[tuple[int, ...], bool]:
         return _in_samples(delay, self.step), poles is None
 
-    def compare(self, delays: Sequence[Array], poles: ComplexArray | None = None) -> None:
-        """Take the likeliest of the best fit and those with other delays, searched for or refined from poles."""
+    def compare(self, delays: Sequence[Array], poles: ComplexArray | None = None) -> list[FreeFit]:
+        """Take the likeliest of the best fit and those with other delays, searched for or refined from poles.
+
+        The latter are returned.
+        """
         delays = [delay for delay in delays if self._key(delay, poles) not in self._made]
         if not delays:
-            return
-        first, best, gain = self._first, self.best, 0.0
+            return []
+        first, best, gain, made = self._first, self.best, 0.0, list[FreeFit]()
         least, most = float(np.min(delays)), float(np.max(delays))
         before = bic_within(best, least, most)
         for delay in delays:
@@ -200,6 +204,7 @@ class _Trials:
                 continue
             self._made.add(self._key(delay, poles))
             again = self._anew(replace(first.lateness, outputs=delay), first.offset, poles)
+            made.append(again)
             now = 0.5 * (before - bic_within(again, least, most))
             needed = _least_gain(first, again) if self.best is first and not first.delay.any() else gain
             better = now > needed
@@ -210,6 +215,19 @@ class _Trials:
                 gain = now
                 if again.order < first.order and not leaves_traces(again.projection):
                     break
+        return made
+
+    def compare_near(self, fit: FreeFit) -> None:
+        """Take the likeliest of the best fit and those with the poles of another, refined with a delay near to its."""
+        near = sorted({*range(-_NEAR, _NEAR + 1)} - {0}, key=abs)
+        self.compare([fit.delay + self.step * samples for samples in near], fit.projection.p)
+
+    def loses_little(self, fit: FreeFit) -> bool:
+        """Whether a fit is not far less likely than the best, so that it may be likelier with a delay near to its."""
+        if fit is self.best or fit.exact or self.best.exact or not (fit.delay.any() and _responds(fit)):
+            return False
+        least, most = (float(end([fit.delay, self.best.delay])) for end in (np.min, np.max))
+        return bic_within(fit, least, most) < bic_within(self.best, least, most) + 2 * TUNING.likely
 
     def compare_fewer_poles(self, scan: _DelayScan) -> None:
         """Take a delay in place of one of the poles of the best fit where that is likelier."""
