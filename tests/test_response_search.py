@@ -27,7 +27,7 @@ def test_criteria_are_of_the_data_whatever_their_weights():
     values = 1.0 / (s + 1.0)
     values = values * (1 + 0.01 * (rng.standard_normal(len(LOG)) + 1j * rng.standard_normal(len(LOG))))
     response = ct.frd(values[None, None], LOG, smooth=False)
-    constant, weighted = phc.pem(response, weights=np.ones(len(LOG))), phc.pem(response, weights=1 / np.abs(values) ** 2)
+    constant, weighted = (phc.pem(response, weights=each) for each in (np.ones(len(LOG)), 1 / np.abs(values) ** 2))
     scaled = phc.pem(response, weights=100 / np.abs(values) ** 2)
     np.testing.assert_allclose(scaled.bic, weighted.bic)
     assert weighted.bic < constant.bic - 50  # the noise grows with the gain
