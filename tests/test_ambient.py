@@ -434,3 +434,10 @@ def test_a_decay_of_many_modes_in_little_noise_is_no_ambient_motion(outputs, mod
     assert fit.order == modes and not {"AMBIENT", "FORCES"} & {finding.cause.name for finding in fit.findings}
     assert fit.outcome.name == "CONSISTENT"
     assert np.all(np.abs(fit.natural_frequencies - w) < 4.5 * fit.stderr["natural_frequencies"])
+
+
+def test_a_decay_of_four_modes_that_hardly_decays_did_not_end_at_a_largest_order():
+    t, rng = 0.1 * np.arange(1000), np.random.default_rng(0)
+    y = np.exp(-0.002 * t) * sum(np.cos(w * t + k) for k, w in enumerate((2.0, 5.0, 9.0, 13.0)))
+    fit = phc.pem((None, y + 0.05 * rng.standard_normal(1000)), dt=0.1)
+    assert fit.order == 4 and not fit.is_ambient and "LARGEST_ORDER" not in causes(fit)

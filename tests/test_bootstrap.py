@@ -7,6 +7,7 @@ from multiprocessing.pool import ThreadPool
 import control as ct
 import numpy as np
 import pytest
+from known import KNOWN
 from slow import slowly
 
 import ph_control as phc
@@ -21,7 +22,6 @@ SEED_OF_A_NEGATIVE_WEIGHT = 4  # of the estimate, were it free
 MODES = phc.modes([1.0, 2.3], [1.0, 0.4])
 
 # how the records were made, so that fits need not look for it
-KNOWN = {"intersample": "zoh", "delay": 0.0, "noise": "white"}
 
 
 def recording(samples=300, noise=0.1, seed=0, modes=MODES, state=None, method="exact"):

@@ -8,6 +8,7 @@ import pytest
 from ambient_plant import ambient
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from known import HELD
 from scipy.signal import lfilter
 from scipy.special import chdtrc
 from scipy.stats import norm
@@ -17,7 +18,6 @@ from ph_control import StructureError
 
 STEP = 0.5
 D, ZETA = np.array([1.0, 2.0]), np.array([0.01, 0.02])
-HELD = {"intersample": "zoh", "delay": 0.0}  # how inputs arrive, where nothing is to be learned of it
 
 
 def outputs(theta, u, state=(0.0, 0.0, 0.0, 0.0)):

@@ -112,8 +112,7 @@ def apply(folder: Path, path: str, patch: str) -> None:
 def seen(tmp_path_factory):
     """What the script finds in a copy of the package with all patches."""
     folder = tmp_path_factory.mktemp("changed")
-    # with the compiled files, which are good for what is not patched, but for those that are just being written
-    shutil.copytree(ROOT / "ph_control", folder / "ph_control", ignore=shutil.ignore_patterns("*.pyc.*"))
+    shutil.copytree(ROOT / "ph_control", folder / "ph_control", ignore=shutil.ignore_patterns("__pycache__"))
     for blocks in patches().values():
         for path, patch in blocks:
             apply(folder, path, patch)

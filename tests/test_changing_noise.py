@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from known import HELD
 from scipy.signal import lfilter
 from slow import slowly
 
@@ -11,7 +12,6 @@ STEP, SAMPLES = 0.3, 900
 POLES = np.array([-0.01 + 1j, -0.03 + 2j])
 SHAPES = np.array([[1.0, 0.7], [-0.6, 0.9]])
 LOUD = slice(400, 700)
-HELD = {"intersample": "zoh", "delay": 0.0}  # how inputs arrive, where nothing is to be learned of it
 
 
 def velocities(u):

@@ -16,7 +16,6 @@ from pathlib import Path
 import control as ct
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from shell import run, streams, without_pictures
 
 import ph_control as phc
@@ -441,15 +440,6 @@ def test_messages_speak_of_options_and_not_of_keywords(recording, monkeypatch):
 
 def test_demo_leaves_recordings_models_and_pictures_and_finds_the_truth(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    drawn = Figure.savefig
-    # the pictures of a report are drawn in its own tests: as SVG they take most of the time of the demonstration
-    without_pictures(monkeypatch)
-    empty = Figure.savefig
-
-    def save(figure, file, **options):
-        (empty if hasattr(file, "write") else drawn)(figure, file, **options)
-
-    monkeypatch.setattr(Figure, "savefig", save)
     done = run("demo")
     assert (done.status, done.error) == (0, "")
     folder = tmp_path / "ph_control_demo"

@@ -7,13 +7,13 @@ from functools import partial
 import control as ct
 import numpy as np
 import pytest
+from known import KNOWN
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
 import ph_control as phc
 
 lossless_fit = partial(phc.pem, structure="lossless")
-KNOWN = {"intersample": "zoh", "delay": 0.0, "noise": "white"}
 
 H = 0.1
 D, RATIOS, WEIGHTS = np.array([0.5, 1.9, 2.6]), np.array([0.01, 0.005, 0.02]), np.array([1.0, -0.5, 0.7])

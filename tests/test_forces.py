@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from known import HELD
 from scipy.linalg import expm
 from scipy.signal import butter, lfilter
 from scipy.stats import chi2
@@ -12,7 +13,6 @@ import ph_control as phc
 W, ZETA = np.array([0.6, 1.1, 1.7]), np.array([0.012, 0.008, 0.015])
 SHAPES = np.array([[0.8, 1.0, -0.7], [1.2, -0.5, 0.9], [0.6, -1.1, -0.8]])  # of three floors, a column each mode
 PORTS = [(0, 0)]
-HELD = {"intersample": "zoh", "delay": 0.0}  # how inputs arrive, where nothing is to be learned of it
 
 
 def steps():

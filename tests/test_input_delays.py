@@ -45,7 +45,7 @@ RECORD = recorded(2, samples=490)
 
 @pytest.fixture(scope="module")
 def fit():
-    return phc.pem(RECORD, dt=DT, noise="white", intersample="zoh")
+    return phc.pem(RECORD, dt=DT)
 
 
 def test_dead_times_of_inputs_are_found_with_the_plant(fit):
@@ -61,17 +61,14 @@ def test_dead_times_of_inputs_are_found_with_the_plant(fit):
     assert "dead times      'u2' 2, 'u3' 4.5, in predictions and not in system" in str(fit)
     assert "2 inputs act later ('u2', 'u3')" in fit.message
     # beyond lags that stand for them, by half the difference of the criterion; modes may stand for a part
-    on_time = phc.pem(RECORD, dt=DT, delay=0.0, input_delay=0.0, noise="white", intersample="zoh")
+    on_time = phc.pem(RECORD, dt=DT, delay=0.0, input_delay=0.0, noise="white")
     assert findings[0].gain > 0.5 * (on_time.bic - fit.bic) > 50
 
 
 @pytest.mark.parametrize(
     ("data", "options"),
     [
-        (
-            {"samples": 140, "outputs": 2, "noise": 0.05},
-            {"order": 0, "real_poles": 2, "noise": "white", "intersample": "zoh"},
-        ),
+        ({"samples": 140, "outputs": 2, "noise": 0.05}, {"order": 0, "real_poles": 2, "noise": "white"}),
         *slowly(({"samples": 1400, "colour": 0.9, "noise": 0.3}, {})),
     ],
 )
@@ -96,7 +93,7 @@ def test_dead_times_are_found_beside_a_mode():
         ct.c2d(phc.modes([pole], [[1.0]], [[1.0, 0.6j]]).state_space(), DT), None, late(u, dead)
     ).outputs
     y = np.atleast_2d(x) + 0.05 * np.std(x) * rng.standard_normal((1, 300))
-    result = phc.pem((u, y), 1, dt=DT, real_poles=0, noise="white", intersample="zoh")
+    result = phc.pem((u, y), 1, dt=DT, real_poles=0)
     np.testing.assert_allclose(result.input_delay, DT * np.array(dead))
     np.testing.assert_allclose(result.poles, [pole], rtol=0.01)
 
@@ -113,15 +110,15 @@ def test_a_second_lag_is_no_dead_time():
     rng = np.random.default_rng(6)
     u = np.repeat(rng.choice([-1.0, 1.0], (2, 100)), 7, axis=1)
     y = (lagging(u[0], 8.0) + lagging(lagging(u[1], 8.0), 2.0))[None]
-    result = phc.pem((u, y + 0.03 * rng.standard_normal(y.shape)), dt=DT, noise="white", intersample="zoh")
+    result = phc.pem((u, y + 0.03 * rng.standard_normal(y.shape)), dt=DT)
     np.testing.assert_array_equal(result.input_delay, 0.0)
     np.testing.assert_allclose(np.sort(result.time_constants), [2.0, 8.0], rtol=0.15)
 
 
 def test_dead_times_that_are_given_are_those_of_shifted_inputs():
-    (u, y), known = recorded(7), {"dt": DT, "delay": 0, "noise": "white"}
-    given = phc.pem((u, y), input_delay=DT * DEAD, **known)
-    shifted = phc.pem((late(u, DEAD)[:, DEAD.max() :], y[:, DEAD.max() :]), input_delay=0, **known)
+    u, y = recorded(7)
+    given = phc.pem((u, y), dt=DT, input_delay=DT * DEAD, delay=0)
+    shifted = phc.pem((late(u, DEAD)[:, DEAD.max() :], y[:, DEAD.max() :]), dt=DT, input_delay=0, delay=0)
     np.testing.assert_allclose(given.poles, shifted.poles, rtol=1e-6)
     np.testing.assert_allclose(given.residues, shifted.residues, rtol=1e-5)
     np.testing.assert_allclose(given.predicted[:, DEAD.max() :], shifted.predicted, atol=1e-6)

@@ -89,13 +89,10 @@ def _name(file: Path, package: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-BLOCKS = ("body", "handlers", "orelse", "finalbody", "cases")  # what holds statements
-
-
 def _statements(tree: ast.AST, around: str = "") -> Iterator[tuple[ast.AST, str]]:
     """Every statement inside, with the name of the function around it."""
-    for field in BLOCKS:
-        for node in getattr(tree, field, []):
+    for node in ast.iter_child_nodes(tree):
+        if not isinstance(node, ast.expr):  # which holds no statements
             yield node, around
             yield from _statements(node, node.name if isinstance(node, ast.FunctionDef) else around)
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from known import KNOWN
 from reference import EPS
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
@@ -21,7 +22,6 @@ lossless_fit = partial(phc.pem, structure="lossless")
 D, R = np.array([0.7, 2.0, 5.5]), np.array([1.0, 0.4, 0.2])
 QUANTITIES = ("velocity", "displacement", "acceleration")
 # where many fits are made, nothing but the parameters is looked for
-KNOWN = {"intersample": "zoh", "delay": 0.0, "noise": "white"}
 
 
 # --- an independent model: one complex recursion for each mode, residues and motions at the output ------------------
@@ -523,11 +523,11 @@ def results():
     def stop(progress):
         raise StopIteration
 
-    noise, known = np.random.default_rng(1).standard_normal((2, 200)), {"intersample": "zoh", "delay": 0.0}
+    noise = np.random.default_rng(1).standard_normal((2, 200))
     return {
         "one": phc.pem((u, y), 3, dt=0.1),
-        "several": phc.pem([(u, y), (None, free_record(150, 1, 0.1)[0])], 3, dt=0.1, offset=True, **known),
-        "sensor": phc.pem((u, y), 3, dt=0.1, quantity="displacement", representation="controllable", **known),
+        "several": phc.pem([(u, y), (None, free_record(150, 1, 0.1)[0])], 3, dt=0.1, offset=True),
+        "sensor": phc.pem((u, y), 3, dt=0.1, quantity="displacement", representation="controllable"),
         "free": phc.pem((None, free_record(150, 1, 0.1)[0]), dt=0.1),
         "response": phc.pem(ct.FrequencyResponseData(response, omega), 3),
         "interrupted": phc.pem((u, y), 3, dt=0.1, callback=stop),

@@ -59,7 +59,7 @@ def test_a_dead_time_of_many_samples_is_found(late, seed):
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.choice([-1.0, 1.0], 40), 20)
     y = 1.5 * chained(u, (0.95,), late) + 0.03 * rng.standard_normal(len(u))
-    result = phc.pem((u, y), dt=0.1, quantity="free", noise="white", intersample="zoh")
+    result = phc.pem((u, y), dt=0.1, quantity="free")
     assert result.states == 1 and abs(result.delay[0] - 0.1 * late) < 3.5 * result.stderr["delay"][0]
     assert abs(result.real_poles[0] - np.log(0.95) / 0.1) < 3.5 * result.stderr["real_poles"][0]
 
@@ -69,7 +69,7 @@ def test_the_response_to_a_single_step_shows_its_dead_time(late):
     # an integrator and a heavily damped mode explain it nearly as well
     u = np.where((np.arange(300) >= 30) & (np.arange(300) < 150), 10.0, 0.0)
     y = 60 + 0.9 * chained(u, (0.96,), late) + 0.18 * np.random.default_rng(2).standard_normal(300)
-    result = phc.pem((u, y), dt=2.0, quantity="free", noise="white", intersample="zoh")
+    result = phc.pem((u, y), dt=2.0, quantity="free")
     assert result.states == 1 and abs(result.delay[0] - 2.0 * late) < 3 * result.stderr["delay"][0]
 
 
@@ -97,14 +97,14 @@ def heated(seed, samples):
 
 def test_lags_of_a_given_number_are_found_beside_load_noise():
     u, x, y = heated(9, 1200)
-    result = phc.pem((u, y), 0, real_poles=2, dt=1.0, intersample="zoh", delay=0.0)
+    result = phc.pem((u, y), 0, real_poles=2, dt=1.0)
     assert np.allclose(np.sort(result.time_constants), [5, 20], rtol=0.3) and simulated_percent(result, u, x) > 90
 
 
 def test_where_noise_hides_the_plant_no_other_one_is_taken_for_it():
     # an integrator is not rejected: nearly all of the likelihood is that of the noise
     u, x, y = heated(35, 700)
-    result = phc.pem((u, y), dt=1.0, intersample="zoh")
+    result = phc.pem((u, y), dt=1.0)
     assert result.structure == "classical" and result.time_constants[0] < 100 and simulated_percent(result, u, x) > 50
 
 

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import doctest
-import io
-import os
 import re
-import runpy
 import shlex
 import subprocess
-import traceback
-import warnings
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import pytest
-from scripts import ROOT
+from scripts import ROOT, run
 from shell import run as shell
 from shell import without_pictures
 
@@ -28,30 +21,13 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", README, flags=re.M | re.S)
 
 
-def run_here(folder: Path, script: Path) -> subprocess.CompletedProcess[str]:
-    """Run a script in a folder as the main program, in this process, where a warning is an error."""
-    printed, error, before = io.StringIO(), "", Path.cwd()
-    os.chdir(folder)
-    try:
-        with contextlib.redirect_stdout(printed), warnings.catch_warnings():
-            warnings.simplefilter("error")
-            warnings.filterwarnings("ignore", module="pyparsing")
-            runpy.run_path(str(script), run_name="__main__")
-    except Exception:
-        error = traceback.format_exc()
-    finally:
-        os.chdir(before)
-        plt.close("all")
-    return subprocess.CompletedProcess([str(script)], int(bool(error)), printed.getvalue(), error)
-
-
 @pytest.fixture(scope="module")
 def after_python(tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess[str]]:
     """Folder in which all Python blocks have run as one script, and how that went."""
     folder = tmp_path_factory.mktemp("readme")
     script = folder / "script.py"
     script.write_text("\n".join(blocks("python")), encoding="utf-8")
-    return folder, run_here(folder, script)
+    return folder, run(folder, str(script))
 
 
 def test_the_first_two_shell_blocks_are_one_line_each():

@@ -3,13 +3,12 @@
 import control as ct
 import numpy as np
 import pytest
+from known import HELD
 from noisy_plants import DELAY, SHARE, SIZES, plant, recording, response
 from scipy.signal import lfilter
 from slow import slowly
 
 import ph_control as phc
-
-HELD = {"intersample": "zoh", "delay": 0.0}  # how inputs arrive, where nothing is to be learned of it
 
 
 def causes(result):

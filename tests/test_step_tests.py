@@ -23,7 +23,7 @@ def step_test(delay, first, *, gain=2.0, constant=12.0, samples=200, seed=0, noi
 @pytest.mark.parametrize(("delay", "first", "seed"), [(2.4, 8, 2), (5.0, 12, 3), *slowly((3.0, 10, 1))])
 def test_the_only_step_is_not_left_out_for_the_sake_of_delays(delay, first, seed):
     """Of what is left without the step, a lag in motion tells as much with any delay and gain."""
-    result = phc.pem(step_test(delay, first, seed=seed), dt=1.0, **KNOWN)
+    result = phc.pem(step_test(delay, first, seed=seed), dt=1.0, quantity="free")
     assert (result.order, len(result.real_poles)) == (0, 1)
     assert ct.dcgain(result.system).item() == pytest.approx(2.0, rel=0.05)
     assert result.delay[0] == pytest.approx(delay, abs=0.5)
@@ -46,7 +46,7 @@ def test_an_input_that_changes_once_lasted_before_the_record(delay, intersample)
 @pytest.mark.parametrize("delay", [0.0, 2.4, *slowly(3.0)])
 def test_a_step_from_an_operating_point_tells_what_one_from_zero_does(delay):
     u, y = step_test(delay, 20, noise=0.02)
-    result, from_zero = (phc.pem((inputs, y), dt=1.0, **KNOWN) for inputs in (u, u - u[0]))
+    result, from_zero = (phc.pem((inputs, y), dt=1.0, quantity="free") for inputs in (u, u - u[0]))
     np.testing.assert_allclose(result.poles, from_zero.poles, rtol=1e-6)
     np.testing.assert_allclose(result.residues, from_zero.residues, rtol=1e-6)
     np.testing.assert_allclose(result.delay, from_zero.delay, rtol=1e-6, atol=1e-9)

@@ -85,7 +85,7 @@ def _refuse_dead(channels: Sequence[Recording]) -> None:
 
 
 def of_outputs_alone(
-    channels: list[Recording], request: Request, options: Options, order: int | str, of_modes: Callable[..., PEMResult]
+    channels: list[Recording], request: Request, options: Options, order: int | str, of_modes: Callable[[], PEMResult]
 ) -> PEMResult:
     """Take the likelier of a motion that decays and of one that forces keep up; the former where its noise is white."""
     _refuse_dead(channels)

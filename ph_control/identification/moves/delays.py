@@ -167,9 +167,8 @@ def on_time(fit: FreeFit, search: Search) -> FreeFit:
             trials.compare_fewer_poles(scan)
         likely = [] if scan is None else scan.likely()
         made = trials.compare(likely + ([] if trials.best.delay.any() else _shown_delays(trials.best)))
-        again = min(made, key=lambda fit: fit.criteria.bic / fit.projection.rows, default=before)
-        if trials.best is before and trials.loses_little(again):
-            trials.compare_near(again)
+        if made and trials.best is before:
+            trials.compare_near_loser(min(made, key=lambda fit: fit.criteria.bic / fit.projection.rows))
         if trials.best is before:
             break
     if not trials.best.exact and trials.best.delay.any():
@@ -191,7 +190,7 @@ class _Trials:
     def compare(self, delays: Sequence[Array], poles: ComplexArray | None = None) -> list[FreeFit]:
         """Take the likeliest of the best fit and those with other delays, searched for or refined from poles.
 
-        The latter are returned.
+        Returns those that were made.
         """
         delays = [delay for delay in delays if self._key(delay, poles) not in self._made]
         if not delays:
@@ -222,12 +221,13 @@ class _Trials:
         near = sorted({*range(-_NEAR, _NEAR + 1)} - {0}, key=abs)
         self.compare([fit.delay + self.step * samples for samples in near], fit.projection.p)
 
-    def loses_little(self, fit: FreeFit) -> bool:
-        """Whether a fit is not far less likely than the best, so that it may be likelier with a delay near to its."""
-        if fit is self.best or fit.exact or self.best.exact or not (fit.delay.any() and _responds(fit)):
-            return False
+    def compare_near_loser(self, fit: FreeFit) -> None:
+        """The same about a fit that is not far less likely than the best."""
+        if fit.exact or self.best.exact or not (fit.delay.any() and _responds(fit)):
+            return
         least, most = (float(end([fit.delay, self.best.delay])) for end in (np.min, np.max))
-        return bic_within(fit, least, most) < bic_within(self.best, least, most) + 2 * TUNING.likely
+        if bic_within(fit, least, most) < bic_within(self.best, least, most) + 2 * TUNING.likely:
+            self.compare_near(fit)
 
     def compare_fewer_poles(self, scan: _DelayScan) -> None:
         """Take a delay in place of one of the poles of the best fit where that is likelier."""
@@ -384,19 +384,16 @@ def _samples_late(fit: FreeFit) -> int:
 class _DelayScan:
     """Delays of records, for the poles of a fit that has some delay, and for a lag of some rates beside some poles.
 
-    All outputs come late together: what one comes after another, `offsets` in time, stays as in the fit.  Poles may
-    stand for a part of a delay, or for all of it: a lag of any rate takes the place of the heavily damped ones, or
-    joins the slowest of them.
+    All outputs come late together: by how much one comes after another stays as in the fit.  Poles may stand for a
+    part of a delay, or for all of it: a lag of any rate takes the place of the heavily damped ones, or joins the
+    slowest of them.
     """
 
     fit: FreeFit
     channels: Sequence[Recording]
     rows: Sequence[FreeRecord]
-    offsets: Array
-    p: ComplexArray
     beside: Sequence[ComplexArray]
     rates: Array
-    late: int
     most: int
 
     @classmethod
@@ -419,8 +416,17 @@ class _DelayScan:
         beside = [np.concatenate([p[~heavy], lags[:count]]) for count in range(max(min(len(lags), fewer), 0) + 1)]
         beside += [] if heavy.all() else [p[:0]]
         rates = np.array([*np.geomspace(4.0 / shortest, 0.5, _LAGS) / channels[0].dt, *np.abs(lags[lags != 0])])
-        late = int(np.rint(fit.delay.min() / channels[0].dt))
-        return cls(fit, some, rows, fit.delay - fit.delay.min(), p, beside, rates, late, shortest // 10)
+        return cls(fit, some, rows, beside, rates, shortest // 10)
+
+    @property
+    def p(self) -> ComplexArray:
+        """Poles of the fit."""
+        return self.fit.projection.p
+
+    @property
+    def late(self) -> int:
+        """Samples by which that output of the fit comes late which comes first."""
+        return int(np.rint(self.fit.delay.min() / self.channels[0].dt))
 
     @property
     def far(self) -> list[int]:
@@ -456,7 +462,7 @@ class _DelayScan:
     def _costs(self, delays: Sequence[int]) -> tuple[list[int], Callable[[ComplexArray], Array]]:
         """Return those of some delays that records are long enough for, and half the BIC of poles with each."""
         tried = sorted({self.late, *(delay for delay in delays if 0 <= delay <= self.most)})
-        delayed = _Delayed.of(self.rows, tried, len(self.offsets))
+        delayed = _Delayed.of(self.rows, tried, len(self.fit.scales))
 
         def costs(p: ComplexArray) -> Array:
             losses, unknowns = delayed.losses(p)
@@ -495,7 +501,7 @@ class _DelayScan:
 
     def delays(self, samples: int) -> Array:
         """Return times by which outputs come late, that which comes first by so many samples."""
-        return self.offsets + samples * self.rows[0].hold.h
+        return _undelayed(self.fit).outputs + samples * self.rows[0].hold.h
 
     def _gain_within(self, samples: int, p: ComplexArray) -> float:
         """Return what poles with another delay gain over those of the fit, in the samples that both delays leave.
