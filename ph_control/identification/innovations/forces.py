@@ -20,7 +20,7 @@ from ..search.channel_rows import experiments_of
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import Criteria, FreeFit, Orders
 from ..search.predictor_states import PredictorStates, likeliest, predictors_of, signals_of
-from ..search.whitening import foretold
+from ..search.whitening import autoregression
 from ..uncertainty.noise_model import NoiseModel
 from ..uncertainty.residual_tests import ljung_box
 from .joint import JointProjection, Quadratic
@@ -55,6 +55,7 @@ _COLOURS = (0.1, 0.1), (0.1, 0.4), (0.5, 0.4)  # rates and parts that a minimisa
 _ROUNDS = 5  # of a fit, and of missing samples in its noise, in turn
 _SETTLED = 0.02  # of the prediction errors: change of missing samples
 _CLOSE = 3  # models that are refined before the criterion chooses
+_HEAVY = 0.7  # damping ratio above which a lag, and noise of another, may look like a mode
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +237,7 @@ def _forced(
     if not foretold.orders.are_open:
         return best
     best = _of_fewer_modes(best, lags)
-    return _of_undriven_lag(best) if lags and foretold.orders.real_poles is None else best
+    return _of_undriven_lags(best) if lags and foretold.orders.real_poles is None else best
 
 
 def _with_lags(best: Minimum, most: int, limit: float = np.inf) -> Minimum:
@@ -402,7 +403,7 @@ def _autoregressions(evaluation: LikelihoodEvaluation, charge: float) -> tuple[f
         products += np.fft.irfft(power, experiment.samples)[:, : most + 1] * experiment.samples
     cost, filters = 0.0, list[Array]()
     for product in products:
-        models, variances = foretold(product)
+        models, variances = autoregression(product, shortest)
         size = np.log(variances * product[0] / samples) + 1 + np.log(2 * np.pi)
         costs = samples * size + charge * np.arange(len(variances))
         cost += float(costs.min())
@@ -425,15 +426,30 @@ def _of_fewer_modes(best: Minimum, lags: int) -> Minimum:
     return best
 
 
-def _of_undriven_lag(best: Minimum) -> Minimum:
-    """The minimum whose first-order section noise alone comes through, if the BIC falls."""
-    noise, k = best.evaluation.point.noise, best.evaluation.point.noise.pairs
-    if not (k and len(noise.sections.rates)):
-        return best
-    sections = Sections.from_coordinates(noise.sections.x[: 2 * k])
-    nearly = _driven_anew(best, replace(noise, sections=sections, lags=noise.rates)).evaluation
-    undriven = followed(nearly.problem, nearly.point, steps=_STEPS)
-    return undriven if undriven.evaluation.bic < best.evaluation.bic else best
+def _of_undriven_lags(best: Minimum) -> Minimum:
+    """The minimum with first-order states that noise alone comes through in place of real poles, as the BIC falls."""
+    while len(best.evaluation.point.noise.lags) < _LAGS:
+        ends = [_driven_anew(best, noise) for noise in _undriven(best.evaluation.point.noise)]
+        if not ends:
+            break
+        nearly = min(ends, key=lambda end: end.evaluation.bic).evaluation
+        undriven = followed(nearly.problem, nearly.point, steps=_STEPS)
+        if undriven.evaluation.bic >= best.evaluation.bic:
+            break
+        best = undriven
+    return best
+
+
+def _undriven(noise: NoiseSections) -> Iterator[NoiseSections]:
+    """The noise where inputs do not drive the first-order section, or without one, a pole of a heavily damped one."""
+    k = noise.pairs
+    if len(noise.sections.rates):
+        if k:
+            yield replace(noise, sections=Sections.from_coordinates(noise.sections.x[: 2 * k]), lags=noise.rates)
+        return
+    damping = noise.sections.decay / np.sqrt(np.maximum(noise.sections.product, 1e-300))
+    for section in np.flatnonzero(damping > _HEAVY).tolist():
+        yield from (noise.of_two_lags(section, driven) for driven in (0, 1))
 
 
 def _doubtful(best: Minimum) -> list[int]:

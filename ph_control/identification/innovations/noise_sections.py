@@ -23,6 +23,7 @@ from ..regression.sections import Sections
 _WELL = 1e6  # condition of the modes of a predictor
 _NEAR = 1e-4  # square of an angle below which a series has all digits
 _PRECISE, _ITERATIONS = 2e-4, 300  # of missing samples, relative, and steps of their equations
+_HALF_APART = 0.3  # of their size: half the least distance of two lags that stand for a section
 _BESIDE = 1e-9  # of a bin to a pole that it falls on: the limit of what states and gain make of it has as many digits
 
 
@@ -314,3 +315,23 @@ class NoiseSections:
         C = np.column_stack([self.C, shape - self.C @ moved])
         K = np.concatenate([self.K + np.outer(moved, gain), gain[None]])
         return replace(self, C=C, K=K, lags=np.append(self.lags, rate))
+
+    def of_two_lags(self, section: int, driven: int) -> NoiseSections:
+        """The model with a first-order section, and a lag, in place of a section; the slower or faster is `driven`.
+
+        Poles nearer to one another than a part of their size are moved apart.
+        """
+        sections, both, k = self.sections, [2 * section, 2 * section + 1], self.pairs
+        decay, w = sections.decay[section], self.references[section]
+        half = np.sqrt(max(-sections.square[section], (_HALF_APART * decay) ** 2))
+        order = [1, 0] if driven else [0, 1]
+        basis = np.array([[1.0, 1.0], [half / w, -half / w]])[:, order]
+        rate, lag = (decay + np.array([-half, half]))[order]
+        others = np.delete(np.arange(2 * k), both)
+        C = np.column_stack([self.C[:, others], self.C[:, both] @ basis, self.C[:, 2 * k :]])
+        K = np.concatenate([self.K[others], np.linalg.solve(basis, self.K[both]), self.K[2 * k :]])
+        x = np.append(np.delete(sections.x, [section, k + section]), rate)
+        return replace(
+            self, sections=Sections.from_coordinates(x), C=C, K=K, lags=np.insert(self.lags, 0, lag),
+            references=np.delete(self.references, section),
+        )  # fmt: skip
