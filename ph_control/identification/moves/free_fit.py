@@ -457,7 +457,7 @@ def _with_real_poles(channels: Experiments, order: int, assumptions: Assumptions
     Modes that overlap may be fewer, as a search has them all at once.
     """
     fit = fitted(channels, order, replace(assumptions, real_poles=0), None)
-    if fit.interrupted or fit.rounding or fit.beside is not None:
+    if fit.interrupted or fit.rounding:
         return fit
     if not are_broad(fit.projection.p).any() and is_white(fit.projection):
         return fit
@@ -478,7 +478,7 @@ def _with_real_poles(channels: Experiments, order: int, assumptions: Assumptions
         return fit
     if fewer > 0 and not wider.crowded:
         wider = fitted(channels, order - real // 2, replace(assumptions, real_poles=real), wider.projection.p)
-    return wider if not wider.interrupted and wider.criteria.bic < fit.criteria.bic else fit
+    return fit if wider.interrupted else min(fit, trial, wider, key=lambda likely: likely.criteria.bic)
 
 
 def _of_long(
