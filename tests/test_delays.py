@@ -101,6 +101,17 @@ def late():
     return u, y, fitted(u, y, order=3, noise="white")
 
 
+def test_what_answers_to_inputs_before_a_record_is_not_compared(late):
+    u, y, result = late
+    compared = phc.compare((u[None, 500:], y[:, 500:]), result, dt=DT)
+    predicted = compared.predicted[0]
+    assert np.isnan(predicted[:, 0]).all() and np.isfinite(predicted[:, 1:]).all()
+    assert compared.fit_percent[0] > 97
+    # from rest nothing is missing: what is before the record is 0
+    from_rest = phc.compare((u[None], y), result, dt=DT, initial_state="zero")
+    assert np.isfinite(from_rest.predicted).all()
+
+
 def test_files_and_pages_have_the_delay(late, tmp_path, monkeypatch):
     without_pictures(monkeypatch)
     u, y, result = late

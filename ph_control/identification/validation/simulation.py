@@ -32,7 +32,7 @@ from ..data.windowed import windowed_response
 from ..diagnosis.fitted_directions import Directions, directions_of, same_data
 from ..fit.pem_result import PEMResult
 from ..fit.prediction_ahead import ahead, ahead_of_growth, grows, is_simulated
-from ..regression.prediction import FittedChannels, FittedExperiment, halved
+from ..regression.prediction import FittedChannels, FittedExperiment, halved, unknown_samples
 from .measured import Model
 
 _STEP_TOLERANCE = 0.01  # as between the time of a record and its dt
@@ -254,6 +254,8 @@ def _simulation_of_fit(model: PEMResult, label: str, record: Kind, rules: Rules)
     if state == "zero" and model.offsets.any():
         # a constant is that of the sensor, whatever the plant does
         output = output + np.nanmean(np.where(data.observed, data.y - output, np.nan), axis=1, keepdims=True)
+    if state != "zero":  # of late outputs the first samples answer to inputs that nobody has recorded
+        output[np.arange(data.samples) < unknown_samples(model._latest, data.dt, data.u)[:, None]] = np.nan
     output = output[0] if isinstance(record, Record) else output[outputs]
     return Simulation(
         output, lambda: _no_directions(record) if place is None else _own_directions(model, place), place is not None
