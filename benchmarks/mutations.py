@@ -76,8 +76,8 @@ FAULTS = (
     ),
     fault(
         "modal/propagation.py",
-        "x[k] += F @ x[k - 1] + rest @ x[k - 1]",
-        "x[k] += F @ x[k - 1]",
+        "product if rest.any() else _product_of_doubles",
+        "_product_of_doubles",
         "propagation",
         "long_steps",
         "response",
@@ -96,9 +96,7 @@ FAULTS = (
         f"{ID}/estimates/estimates.py",
         "(0.0, -1.0, -2.0)[power] + 0.5",
         "(0.0, 1.0, 2.0)[power] + 0.5",
-        "unequal_noise",
-        "pem_kinds",
-        "motion",
+        "uncertainty",
     ),
     fault(
         f"{ID}/excitation/design_input.py",

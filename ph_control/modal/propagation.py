@@ -60,12 +60,12 @@ def step_through(step: MatrixStep, u: Array, start: Array | None = None) -> Arra
     # by place in the block, state and block
     x = blocks.reshape(len(F), size, size).transpose(2, 0, 1).copy()
     for k in range(1, size):
-        x[k] += F @ x[k - 1] + rest @ x[k - 1]
-    powers = list(accumulate(repeat((F, rest), size), product if rest.any() else _product_of_doubles))
-    last, ends = powers[-1], x[-1].T.copy()
+        x[k] += F @ x[k - 1]
+    pairs = accumulate(repeat((F, rest), size), product if rest.any() else _product_of_doubles)
+    powers, ends = np.stack([high for high, _ in pairs]), x[-1].T.copy()
     for block in range(1, size):
-        ends[block] += last[0] @ ends[block - 1] + last[1] @ ends[block - 1]
-    x[:, :, 1:] += np.stack([high for high, _ in powers]) @ ends[:-1].T
+        ends[block] += powers[-1] @ ends[block - 1]
+    x[:, :, 1:] += powers @ ends[:-1].T
     return x.transpose(1, 2, 0).reshape(blocks.shape)[:, :samples]
 
 
