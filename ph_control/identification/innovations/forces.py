@@ -453,7 +453,7 @@ def _undriven(noise: NoiseSections) -> Iterator[NoiseSections]:
 
 
 def _doubtful(best: Minimum) -> list[int]:
-    """Sections whose residues are few standard errors large: at most what the BIC charges for them."""
+    """Sections whose residues are few standard errors large, at most what the BIC charges for them; the least first."""
     evaluation = best.evaluation
     point, problem = evaluation.point, evaluation.problem
     covariance = evaluation.information_inverse()
@@ -463,16 +463,15 @@ def _doubtful(best: Minimum) -> list[int]:
     numbers[active] = first + np.arange(int(active.sum()))
     charge = float(np.log(problem.samples * evaluation.p))
     inputs = problem.inputs
-    width, doubtful = len(active) // inputs, []
+    width, excess = len(active) // inputs, dict[int, float]()
     for k, places in enumerate(point.noise.sections.places.tolist()):
         rows = [width * i + part * n + place for i in range(inputs) for place in set(places) for part in (0, 1)]
         these = numbers[rows].ravel()
         values, these = point.shared[rows].ravel()[these >= 0], these[these >= 0]
         inner = covariance[np.ix_(these, these)]
         size = float(values @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ values)
-        if size < (2 + len(these) + 4 * evaluation.p) * charge:
-            doubtful.append(k)
-    return doubtful
+        excess[k] = size - (2 + len(these) + 4 * evaluation.p) * charge
+    return sorted((k for k, more in excess.items() if more < 0), key=excess.__getitem__)
 
 
 def _without(best: Minimum, section: int) -> Minimum:
@@ -495,7 +494,8 @@ def _driven_anew(best: Minimum, noise: NoiseSections) -> Minimum:
     problem = Problem(problem.experiments, driven.excited_unknowns, problem.coloured, problem.fed)
     # the gains of others need not make a predictor
     noise = noise.that_forgets(best.evaluation.covariance)
-    return followed(problem, InnovationsModel(noise, driven.shared, tuple(driven.own)), _ROUGH, _STEPS)
+    begin = problem.driven_best(InnovationsModel(noise, driven.shared, tuple(driven.own)))
+    return followed(problem, begin, _ROUGH, _STEPS)
 
 
 def replace_colour(problem: Problem, coloured: bool) -> Problem:
