@@ -321,7 +321,7 @@ def test_forces_are_found_where_white_noise_tells_little_of_the_plant(seed, plan
 
 @pytest.mark.slow
 def test_a_structure_that_is_not_rejected_predicts_as_well_as_free_residues():
-    u, y, clean = shaken(22, inputs=2, outputs=2)
+    u, y, clean = shaken(24, inputs=2, outputs=2)
     result = phc.pem((u, y), dt=1.0)
     assert missed(result, u, clean) < 0.5
 

@@ -156,7 +156,7 @@ def _in_noise_of(noise: str, structure: str, fit: FreeFit, orders: Orders, like:
     if any(rows.level is not None for rows in records):
         return fit
     if like is not None and like.beside is not None:
-        return beside_forces(fit, like.beside.kinds, certain=True, orders=orders)
+        return beside_forces(fit, like.beside.kinds, certain=True, orders=orders, like=like)
     if noise == "auto":
         if not fit.order and any(is_short(rows) for rows in records):
             return fit

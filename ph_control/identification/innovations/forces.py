@@ -123,8 +123,9 @@ class FittedNoise:
 
 
 def beside_forces(
-    free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = False, orders: Orders = AS_FITTED
-) -> FreeFit:
+    free: FreeFit, kinds: Sequence[str] = KINDS, certain: bool = False, orders: Orders = AS_FITTED,
+    like: FreeFit | None = None,
+) -> FreeFit:  # fmt: skip
     """The fit in noise that outputs share, or that comes through the plant, where white noise is far less likely.
 
     Parameters
@@ -137,6 +138,8 @@ def beside_forces(
         Whether the last of the `kinds` is taken as given, and not tested.
     orders : Orders
         Numbers of poles that are looked for.
+    like : FreeFit, optional
+        Fit beside forces whose poles and noise the search begins with.
 
     Returns
     -------
@@ -146,7 +149,7 @@ def beside_forces(
         that do not decay, more unknowns than 600.  Fewer missing samples have their likeliest values.
     """
     try:
-        fitted = _beside_forces(free, kinds, certain, orders)
+        fitted = _beside_forces(free, kinds, certain, orders, like)
     except KeyboardInterrupt:
         return replace(free, interrupted=True)
     if fitted.beside is None:
@@ -155,7 +158,9 @@ def beside_forces(
     return fitted.with_rival(lambda rival: _beside_forces(rival, kinds, True))
 
 
-def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: Orders = AS_FITTED) -> FreeFit:
+def _beside_forces(
+    free: FreeFit, kinds: Sequence[str], certain: bool, orders: Orders = AS_FITTED, like: FreeFit | None = None
+) -> FreeFit:
     rows = _rows(free)
     if rows is None:
         return free
@@ -167,7 +172,8 @@ def _beside_forces(free: FreeFit, kinds: Sequence[str], certain: bool, orders: O
     foretold = _Predictors(free, rows, orders)
     best = _in_shared_noise(white, alone, certain, foretold) if white is not None and "correlated" in kinds else None
     if "forces" in kinds and (certain or _hints_at_forces(foretold, alone, best.evaluation if best else white)):
-        forced = _forced(start, foretold, white, certain)
+        begun = None if like is None else _like(like, free, rows)
+        forced = _forced(start, foretold, white, certain, begun)
         if forced is not None and (certain or _shows_forces(free, rows, forced, best)):
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
@@ -218,15 +224,17 @@ def _without_gain(begin: Start) -> Start:
 
 
 def _forced(
-    start: Start | None, foretold: _Predictors, white: LikelihoodEvaluation | None, certain: bool
+    start: Start | None, foretold: _Predictors, white: LikelihoodEvaluation | None, certain: bool, begun: Start | None
 ) -> Minimum | None:  # fmt: skip
     """The minimum beside forces: with the same modes, or with those that the BIC prefers of so many.
 
     In white noise modes more than there are stand for what forces do, and weak ones are hidden by it: so the search
     begins with the poles of predictors as well.  None where there is nothing to begin with.  Where noise of each output
-    is likelier than white forces, those of other spectra are not looked for, unless forces are `certain`.
+    is likelier than white forces, those of other spectra are not looked for, unless forces are `certain`.  One of the
+    starts may have `begun` beside forces.
     """
     starts = [*([] if start is None else [_damped(foretold, start)]), *foretold.starts]
+    starts = starts if begun is None else [*starts, begun]
     ends = [followed(*begin, _ROUGH, _FEW) for begin in starts]
     if not ends:
         return None
@@ -495,7 +503,7 @@ def _driven_anew(best: Minimum, noise: NoiseSections) -> Minimum:
     # the gains of others need not make a predictor
     noise = noise.that_forgets(best.evaluation.covariance)
     begin = problem.driven_best(InnovationsModel(noise, driven.shared, tuple(driven.own)))
-    return followed(problem, begin, _ROUGH, _STEPS)
+    return followed(problem, begin, _ROUGH, _FEW)
 
 
 def replace_colour(problem: Problem, coloured: bool) -> Problem:
@@ -596,6 +604,15 @@ def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> Start 
         if after > (1 + 2 * TUNING.sure / _samples(rows)) * before:
             return None
     return begin
+
+
+def _like(like: FreeFit, free: FreeFit, rows: Sequence[FreeRecord]) -> Start | None:
+    """The data and a model with the poles and the noise of a fit beside forces, in records of the same step."""
+    if like.beside is None or not like.beside.is_coloured or like.beside.sections.step != rows[0].hold.h:
+        return None
+    noise, scales = like.beside.sections, free.scales
+    noise = noise.moved(noise.sections, noise.C / scales[:, None], noise.K * scales)
+    return _beside(free, rows, noise.sections, noise, like.projection.fed)
 
 
 def _samples(rows: Sequence[FreeRecord]) -> int:

@@ -55,7 +55,7 @@ def in_prevailing_noise(channels: Experiments, search: Search, late: Lateness) -
     given = search.assumptions
     if given.white or given.delay is not None:
         return None
-    if sum(channel.y.size for channel in channels if isinstance(channel, Recording)) < _SAMPLES:
+    if sum(channel.samples for channel in channels if isinstance(channel, Recording)) < _SAMPLES:
         return None
     path, orders = search.path(channels, late), search.orders
     foretold = _likelier_than_in_white_noise(path, channels, search, late)
@@ -183,13 +183,7 @@ def beside_forces_and_more(forced: FreeFit, fit: FreeFit, search: Search, *, may
 def _in_other_rows(best: FreeFit, fit: FreeFit, late: Lateness, offset: int, search: Search) -> FreeFit | None:
     """Return a fit of the same poles with another delay or drift, beside forces if they remain, if far likelier."""
     p = best.projection.p[~are_slow(best)] if offset > 1 else best.projection.p
-    path = search.path(fit.channels, late, offset, search.held or fit.intersample)
-    path.whiten(fit.noise, path.power)
-    # white noise tells little of the poles: they are refined beside forces
-    rough = search.from_poles(path, fit.channels, p, -np.inf)
-    if rough is None:
-        return None
-    again = search.assumptions.beside(rough, orders=Orders())
+    again = search.assumptions.beside(search.anew(fit)(late, offset, p), orders=Orders())
     if again.interrupted:
         raise KeyboardInterrupt
     return again if _gain(best, again) > 2 * TUNING.sure else None
