@@ -334,6 +334,16 @@ def test_the_colour_of_a_force_is_neither_a_lag_nor_a_mode_of_the_plant(seed):
     assert (result.order, len(result.time_constants)) == (1, 1)
 
 
+@pytest.mark.parametrize("seed", [300, 309])
+def test_slow_noise_is_no_constant_of_the_output(seed):
+    u, y, _ = shaken(seed, modes=0, lags=1)
+    level = 30 * y.std()
+    for constant in (0.0, level):
+        result = phc.pem((u, y + constant), 0, dt=1.0, real_poles=1, **HELD)
+        assert ("CONSTANT" in causes(result)) == (constant > 0)
+        assert abs(result.offsets[0] - constant) < 5 * result.stderr["offset"][0]
+
+
 @pytest.mark.slow
 def test_noise_with_nothing_at_frequency_zero_leaves_errors_that_hold():
     u, y, _ = shaken(236, modes=1, lags=1, outputs=2)

@@ -128,7 +128,7 @@ def _without_what_is_needless(
     fed: Mask | None = None
     if projection.has_feedthrough and not path.felt.all():
         fed = path.felt | fed_through(path, projection)
-    constants = constant_open and evidence_of_constants(projection) >= _least_of_constants(path, projection)
+    constants = constant_open and evidence_of_constants(projection) >= least_of_constants(projection)
     if fed is not None and not fed.all():
         projection, losses = settled(path, projection.p, fed, rtol, projection)
     if constant_open and (not constants or np.any(np.abs(projection.p) < path.scaled.region.bin)):
@@ -137,9 +137,9 @@ def _without_what_is_needless(
     return projection, losses, fed
 
 
-def _least_of_constants(path: FreePath, projection: FreeProjection) -> float:
+def least_of_constants(projection: FreeProjection) -> float:
     """Return the square, in variances of the noise, from which on constants of outputs stand out."""
-    constants = sum(len(rows.outputs) for rows in path.search.data)
+    constants = sum(len(rows.outputs) for rows in projection.experiments)
     return float(max(2 * TUNING.likely, constants * np.log(projection.rows)))
 
 
@@ -155,7 +155,7 @@ def _without_constants(
     path.drop_constants(losses)
     level, level_losses = settled(path, projection.p, fed, rtol)
     explained = 2 * (path.loglik(losses) - path.loglik(level_losses)) / slowness
-    if explained < _least_of_constants(path, projection):
+    if explained < least_of_constants(projection):
         return level, level_losses
     path.plain, path.search = kept
     path.weigh(losses)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..._types import Mask, RealOrComplex
-from ..growth.ending import evidence_of_constants, order_of_noise
+from ..growth.ending import evidence_of_constants, least_of_constants, order_of_noise
 from ..regression.elimination import orthogonal, without
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
@@ -92,12 +92,12 @@ def _leans(rows: FreeRecord, predicted: RealOrComplex) -> bool:
 
 
 def with_constants(fit: FreeFit) -> FreeFit:
-    """Return the fit with a finding of the constants of its outputs, if there are any."""
-    if fit.offset != 1:
+    """Return the fit with a finding of the constants of its outputs, if these stand out."""
+    if fit.offset != 1 or (evidence := evidence_of_constants(fit.projection)) < least_of_constants(fit.projection):
         return fit
     values = [
         float(value) for rows, own in zip(fit.projection.experiments, fit.projection.own, strict=True)
         for value in fit.scales[rows.outputs] * own[-1] * getattr(rows, "unit", 1.0)
     ]  # fmt: skip
-    finding = Finding(Cause.CONSTANT, tuple(values), 0.5 * float(evidence_of_constants(fit.projection)))
+    finding = Finding(Cause.CONSTANT, tuple(values), 0.5 * evidence)
     return replace(fit, findings=(*fit.findings, finding))
