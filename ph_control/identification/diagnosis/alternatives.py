@@ -181,7 +181,7 @@ def _beside_hum(latest: Searched, search: Search, refine: Refine, automatic: boo
             taken, tones = tones, tones_in(again.free, tones.frequencies)
             if tones.is_near(taken):
                 break
-        if gain(again, taken) <= 0:
+        if automatic and gain(again, taken) <= 0:  # of a number that is given a mode is missing yet
             break
         again = search(again.channels)
         if again.free.interrupted:

@@ -607,10 +607,12 @@ def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> Start 
 
 
 def _like(like: FreeFit, free: FreeFit, rows: Sequence[FreeRecord]) -> Start | None:
-    """The data and a model with the poles and the noise of a fit beside forces, in records of the same step."""
+    """The data and a model with the poles and the noise of a fit beside forces, with as many of each, if it is one."""
     if like.beside is None or not like.beside.is_coloured or like.beside.sections.step != rows[0].hold.h:
         return None
-    noise, scales = like.beside.sections, free.scales
+    noise, scales, present = like.beside.sections, free.scales, Sections.of(free.projection.p)
+    if len(present.rates) != len(noise.sections.rates) or not noise.sections.keeps_kinds(present):
+        return None
     noise = noise.moved(noise.sections, noise.C / scales[:, None], noise.K * scales)
     return _beside(free, rows, noise.sections, noise, like.projection.fed)
 
