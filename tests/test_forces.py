@@ -1,5 +1,6 @@
 """Unmeasured forces beside measured ones, noise of inputs, sensors that share noise: named, with errors that hold."""
 
+import control as ct
 import numpy as np
 import pytest
 from known import HELD
@@ -342,6 +343,19 @@ def test_slow_noise_is_no_constant_of_the_output(seed):
         result = phc.pem((u, y + constant), 0, dt=1.0, real_poles=1, **HELD)
         assert ("CONSTANT" in causes(result)) == (constant > 0)
         assert abs(result.offsets[0] - constant) < 5 * result.stderr["offset"][0]
+
+
+def test_a_drift_does_not_hide_noise_that_outputs_share():
+    rng, t = np.random.default_rng(5), np.arange(800.0)
+    plant = ct.ss([[-0.02, 1.0], [-1.0, -0.02]], [[0.0], [1.0]], [[0.0, 1.0], [0.4, 0.7]], 0)
+    u = rng.standard_normal(800)
+    y = ct.forced_response(ct.c2d(plant, 0.5), 0.5 * t, u).outputs
+    noise = np.linalg.cholesky([[1.0, 0.9], [0.9, 1.0]]) @ rng.standard_normal((2, 800))
+    size = y.std(axis=1, keepdims=True)
+    result = phc.pem((u[None], y + size * (0.1 * noise + t / 800)), dt=0.5, quantity="free", **HELD)
+    assert result.order == 1 and causes(result) >= {"DRIFT", "CORRELATED_NOISE"}
+    covariance = result.noise.covariance
+    assert abs(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]) - 0.9) < 0.03
 
 
 @pytest.mark.slow

@@ -173,7 +173,9 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
         return _in_likelier_rows(forced, in_white_noise, in_noise, search)
     if _grows(in_white_noise) and not (search.automatic or fit.noise):
         return _or_in_residual_noise(in_white_noise, path, open_delay, search)
-    return in_white_noise
+    # a drift may hide the noise that outputs share
+    drifts = in_white_noise.offset > max(1, fit.offset) and not (in_white_noise.delay.any() or in_white_noise.noise)
+    return in_noise(in_white_noise) if drifts else in_white_noise
 
 
 def _or_late(forced: FreeFit, fit: FreeFit, search: Search) -> FreeFit:
