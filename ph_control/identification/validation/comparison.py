@@ -127,7 +127,11 @@ class Comparison(Report, HeldData, Frozen):
 
     @property
     def predicted(self) -> RealOrComplex:
-        """Output of each model, shape (k, T), all experiments one after the other; (k, p, T) or (k, p, m, T)."""
+        """Output of each model, shape (k, T), all experiments one after the other; (k, p, T) or (k, p, m, T).
+
+        NaN where an output that comes late answers to inputs before the record, and its state is not `'zero'`: such
+        samples do not count.
+        """
         return _checks.readonly(np.concatenate([experiment.predicted for experiment in self.experiments], axis=-1))
 
     @property
