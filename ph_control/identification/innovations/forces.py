@@ -233,9 +233,8 @@ def _forced(
     is likelier than white forces, those of other spectra are not looked for, unless forces are `certain`.  One of the
     starts may have `begun` beside forces.
     """
-    starts = [*([] if start is None else [_damped(foretold, start)]), *foretold.starts]
-    starts = starts if begun is None else [*starts, begun]
-    ends = [followed(*begin, _ROUGH, _FEW) for begin in starts]
+    given = [None if start is None else _damped(foretold, start), *foretold.starts, begun]
+    ends = [followed(*begin, _ROUGH, _FEW) for begin in given if begin is not None]
     if not ends:
         return None
     best = min(ends, key=lambda end: end.evaluation.bic)
@@ -455,13 +454,13 @@ def _undriven(noise: NoiseSections) -> Iterator[NoiseSections]:
         if k:
             yield replace(noise, sections=Sections.from_coordinates(noise.sections.x[: 2 * k]), lags=noise.rates)
         return
-    damping = noise.sections.decay / np.sqrt(np.maximum(noise.sections.product, 1e-300))
-    for section in np.flatnonzero(damping > _HEAVY).tolist():
+    heavy = noise.sections.decay > _HEAVY * np.sqrt(np.maximum(noise.sections.product, 0.0))
+    for section in np.flatnonzero(heavy).tolist():
         yield from (noise.of_two_lags(section, driven) for driven in (0, 1))
 
 
 def _doubtful(best: Minimum) -> list[int]:
-    """Sections whose residues are few standard errors large, at most what the BIC charges for them; the least first."""
+    """Sections whose residues are few standard errors large: at most what the BIC charges for them."""
     evaluation = best.evaluation
     point, problem = evaluation.point, evaluation.problem
     covariance = evaluation.information_inverse()
@@ -471,15 +470,16 @@ def _doubtful(best: Minimum) -> list[int]:
     numbers[active] = first + np.arange(int(active.sum()))
     charge = float(np.log(problem.samples * evaluation.p))
     inputs = problem.inputs
-    width, excess = len(active) // inputs, dict[int, float]()
+    width, doubtful = len(active) // inputs, []
     for k, places in enumerate(point.noise.sections.places.tolist()):
         rows = [width * i + part * n + place for i in range(inputs) for place in set(places) for part in (0, 1)]
         these = numbers[rows].ravel()
         values, these = point.shared[rows].ravel()[these >= 0], these[these >= 0]
         inner = covariance[np.ix_(these, these)]
         size = float(values @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ values)
-        excess[k] = size - (2 + len(these) + 4 * evaluation.p) * charge
-    return sorted((k for k, more in excess.items() if more < 0), key=excess.__getitem__)
+        if size < (2 + len(these) + 4 * evaluation.p) * charge:
+            doubtful.append(k)
+    return doubtful
 
 
 def _without(best: Minimum, section: int) -> Minimum:
