@@ -172,8 +172,7 @@ def _beside_forces(
     foretold = _Predictors(free, rows, orders)
     best = _in_shared_noise(white, alone, certain, foretold) if white is not None and "correlated" in kinds else None
     if "forces" in kinds and (certain or _hints_at_forces(foretold, alone, best.evaluation if best else white)):
-        begun = None if like is None else _like(like, free, rows)
-        forced = _forced(start, foretold, white, certain, begun)
+        forced = _forced(start, foretold, white, certain, _like(like, free, rows))
         if forced is not None and (certain or _shows_forces(free, rows, forced, best)):
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
@@ -606,12 +605,13 @@ def _start(free: FreeFit, rows: Sequence[FreeRecord], p: ComplexArray) -> Start 
     return begin
 
 
-def _like(like: FreeFit, free: FreeFit, rows: Sequence[FreeRecord]) -> Start | None:
+def _like(like: FreeFit | None, free: FreeFit, rows: Sequence[FreeRecord]) -> Start | None:
     """The data and a model with the poles and the noise of a fit beside forces, with as many of each, if it is one."""
-    if like.beside is None or not like.beside.is_coloured or like.beside.sections.step != rows[0].hold.h:
+    if like is None or like.beside is None or not like.beside.is_coloured:
         return None
     noise, scales, present = like.beside.sections, free.scales, Sections.of(free.projection.p)
-    if len(present.rates) != len(noise.sections.rates) or not noise.sections.keeps_kinds(present):
+    as_many = len(present.rates) == len(noise.sections.rates) and noise.sections.keeps_kinds(present)
+    if not as_many or noise.step != rows[0].hold.h:
         return None
     noise = noise.moved(noise.sections, noise.C / scales[:, None], noise.K * scales)
     return _beside(free, rows, noise.sections, noise, like.projection.fed)
