@@ -28,8 +28,9 @@ from ..search.channel_rows import Experiments, is_short
 from ..search.findings import Cause, Finding
 from ..search.fitted_modes import FreeFit
 from ..search.free_search import NoiseOrders
+from ..search.path import FreePath
 from ..search.predictor_states import ranked_predictors
-from ..search.whitening import autoregression, correlations
+from ..search.whitening import correlations
 from .assumptions import Anew, Search, rows_as_in
 from .delays import LONGEST_DELAY, are_heavy, bic_within, leaves_traces
 
@@ -64,7 +65,8 @@ def of_late_inputs(channels: Experiments, search: Search) -> FreeFit | None:
     late_path.whiten(proposed.noise, late_path.power)
     if _is_foretold_better(rows, FreeProjection(late_path.search.data, proposed.lags)):
         return None
-    late = search.along(late_path, channels, np.append(search.begin, proposed.lags))
+    lags = _as_many(late_path, proposed.lags, search.assumptions.real_poles)
+    late = search.along(late_path, channels, np.append(search.begin, lags))
     try:
         late = late if late.interrupted else _in_best_dead_times(late, search)
     except KeyboardInterrupt:
@@ -74,6 +76,13 @@ def of_late_inputs(channels: Experiments, search: Search) -> FreeFit | None:
     path.whiten(late.noise, path.power)
     rival = replace(search, most=min(search.most, late.order + search.automatic))
     return _likelier_late(late, rival.along(path, channels, late.projection.p))
+
+
+def _as_many(path: FreePath, lags: ComplexArray, real_poles: int | str) -> ComplexArray:
+    """Return those of some lags that explain most, as many as real poles are given."""
+    while real_poles != "auto" and len(lags) > int(real_poles):
+        lags = np.delete(lags, np.argmin(FreeProjection(path.search.data, lags).evidence))
+    return lags
 
 
 def _is_foretold_better(rows: Sequence[FreeRecord], lagging: FreeProjection) -> bool:
@@ -430,8 +439,7 @@ class _DeadTimeProblem:
         for output in sorted(residuals):
             lengths = [len(values) for values in residuals[output]]
             products = correlations([np.fft.rfft(values) for values in residuals[output]], lengths)
-            orders = NoiseOrders(*autoregression(products, min(lengths)))
-            filters.append(orders.innovations(sum(lengths), 2 * self.each))
+            filters.append(NoiseOrders.of(products, min(lengths)).innovations(sum(lengths), 2 * self.each))
         return tuple(filters)
 
     def _value(self, dead_times: DeadTimes) -> float:
