@@ -260,3 +260,33 @@ def test_white_noise_beside_modes_that_last_as_long_as_the_record_has_the_score_
         phc.pem((u, y + 0.2 * y.std() * rng.standard_normal(800)), 2, dt=1.0, real_poles=0, noise="auto")
     total, count = np.sum(scores, axis=0)
     assert len(scores) > 3 and total < chi2.ppf(0.999, count)
+
+
+@pytest.mark.parametrize("rates", [(), (0.05,), (0.4,), (3.0,)])
+@pytest.mark.parametrize("driven", [0, 1])
+def test_a_section_becomes_two_lags_of_the_same_noise(rates, driven):
+    """One of its real poles is a lag then; the other makes a section with a first-order section that there is."""
+    rng = np.random.default_rng(len(rates) + 2 * driven)
+    sections = Sections.from_coordinates(np.array([0.5, 0.3, 0.25 - 0.09, 0.09 + 1.0, *rates]))  # poles 0.2 and 0.8
+    states = 5 + len(rates)
+    C, K = rng.standard_normal((2, states)), rng.standard_normal((states, 2))
+    noise = NoiseSections(sections, 0.5, np.array([0.7, 1.0]), C, K, np.array([0.9]))
+    apart = noise.of_two_lags(0, driven)
+    z = np.exp(1j * np.linspace(0.01, 3, 50))
+    before, after = (each.outputs_of_states(z) @ each.K for each in (noise, apart))
+    np.testing.assert_allclose(after, before, rtol=1e-10, atol=1e-12)
+    assert apart.lags[0] == pytest.approx([0.8, 0.2][driven])
+    real = np.sort(-apart.sections.p[apart.sections.p.imag == 0].real)
+    np.testing.assert_allclose(real, np.sort([[0.2, 0.8][driven], *rates]), rtol=1e-9)
+
+
+def test_noise_through_lags_alone_has_no_state_of_the_plant():
+    sections = Sections.from_coordinates(np.array([0.3, 1.09, 0.2]))
+    noise = NoiseSections(sections, 0.5, np.ones(1), np.zeros((1, 0)), np.zeros((0, 1)), apart=True)
+    noise = noise.with_lag(0.1, np.array([2.0]), np.array([0.3]))
+    assert (noise.states, noise.A.shape, len(noise.x)) == (1, (1, 1), 4)
+    assert noise.unknowns == 2  # the rate, and what white noise leaves of it
+    z = np.exp(1j * np.linspace(0.01, 3, 50))
+    np.testing.assert_allclose(
+        np.ravel(noise.outputs_of_states(z) @ noise.K), 0.6 / (z - np.exp(-0.05)), rtol=1e-12
+    )  # fmt: skip

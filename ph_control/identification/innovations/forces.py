@@ -55,6 +55,7 @@ _COLOURS = (0.1, 0.1), (0.1, 0.4), (0.5, 0.4)  # rates and parts that a minimisa
 _ROUNDS = 5  # of a fit, and of missing samples in its noise, in turn
 _SETTLED = 0.02  # of the prediction errors: change of missing samples
 _CLOSE = 3  # models that are refined before the criterion chooses
+_MOST = 0.9  # of what outputs see of noise: by so much it is that of one of them
 _HEAVY = 0.7  # damping ratio above which a lag, and noise of another, may look like a mode
 
 
@@ -171,14 +172,17 @@ def _beside_forces(
     alone = _alone(free, rows, white)
     foretold = _Predictors(free, rows, orders)
     best = _in_shared_noise(white, alone, certain, foretold) if white is not None and "correlated" in kinds else None
-    if "forces" in kinds and (certain or _hints_at_forces(foretold, alone, best.evaluation if best else white)):
-        forced = _forced(start, foretold, white, certain, _like(like, free, rows))
+    if "forces" in kinds:
+        begun = _like(like, free, rows)
+        hints = certain or _hints_at_forces(foretold, alone, best.evaluation if best else white)
+        forced = _forced(start, foretold, white, certain, begun) if hints else _through_lags_alone(foretold, True)
         if forced is not None and (certain or _shows_forces(free, rows, forced, best)):
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
         return free
     best = _with_likeliest_samples(best)
-    likelier, filters = (False, ()) if certain else _own_noise(best.evaluation, white)
+    among = None if _margin(best, free) else white
+    likelier, filters = _own_noise(best.evaluation, among, certain)
     # where the number of modes is open, those that inputs drive beside forces may still be the likeliest
     kept = not likelier or (orders.are_open and best.evaluation.problem.coloured and not _doubtful(best))
     fitted = _in_noise(free, best, alone, certain) if kept else free
@@ -238,12 +242,20 @@ def _forced(
         return None
     best = min(ends, key=lambda end: end.evaluation.bic)
     best = followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
-    lags = _LAGS if certain or not _own_noise(best.evaluation, white)[0] else 0
-    best = _with_lags(best, lags)
-    if not foretold.orders.are_open:
+    lags = 0 if _own_noise(best.evaluation, white, certain)[0] else _LAGS
+    best = _of_likelier_sections(_with_lags(best, lags), lags, foretold.orders)
+    wandering = _through_lags_alone(foretold, limit=best.evaluation.bic)
+    if wandering is None or wandering.evaluation.bic + _margin(wandering, foretold.free) >= best.evaluation.bic:
+        return best
+    return _of_likelier_sections(wandering, _LAGS, foretold.orders)
+
+
+def _of_likelier_sections(best: Minimum, lags: int, orders: Orders) -> Minimum:
+    """The minimum without modes or real poles that stood for noise, where the orders are open."""
+    if not orders.are_open:
         return best
     best = _of_fewer_modes(best, lags)
-    return _of_undriven_lags(best) if lags and foretold.orders.real_poles is None else best
+    return _of_undriven_lags(best) if lags and orders.real_poles is None else best
 
 
 def _with_lags(best: Minimum, most: int, limit: float = np.inf) -> Minimum:
@@ -263,12 +275,68 @@ def _with_lags(best: Minimum, most: int, limit: float = np.inf) -> Minimum:
     return best
 
 
+def _through_lags_alone(foretold: _Predictors, hidden: bool = False, limit: float = np.inf) -> Minimum | None:
+    """The minimum in noise that comes through lags alone, as of sensors that wander; None where none is promised.
+
+    Poles as slow as a record may stand for such noise: of an open number they are left out as well.  None without such
+    poles if it is looked for where only they may have `hidden` it.
+    """
+    p, rows, slow = foretold.free.projection.p, foretold.rows, _slow(foretold)
+    if hidden and not slow.any():
+        return None
+    ends, by_speed = list[Minimum](), np.argsort(np.abs(p))
+    for dropped in range(min(int(slow.sum()), len(p) - 1) + 1):
+        start = _start(foretold.free, rows, np.delete(p, by_speed[:dropped]))
+        if start is None:
+            continue
+        problem, point = start
+        outputs = len(point.noise.C)
+        noise = replace(point.noise, C=np.zeros((outputs, 0)), K=np.zeros((0, outputs)), apart=True)
+        white = followed(problem, replace(point, noise=noise), _ROUGH, _FEW)
+        if not _promises_lag(white.evaluation, limit):
+            continue
+        ends.append(_with_lags(white, _LAGS, limit))
+        if 1 < outputs <= _LAGS:
+            starts = [_each_wandering(white.evaluation, rate, part) for rate, part in _COLOURS]
+            ends += [followed(problem, start, _ROUGH, _FEW) for start in starts]
+    wandering = [end for end in ends if len(end.evaluation.point.noise.lags)]
+    if not wandering:
+        return None
+    best = min(wandering, key=lambda end: end.evaluation.bic + _margin(end, foretold.free))
+    return followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
+
+
+def _margin(end: Minimum, free: FreeFit) -> float:
+    """What the BIC may be larger by, negative, in noise that wanders in place of slow poles.
+
+    Integrals of inputs look like such noise, and the more so the more inputs there are.
+    """
+    point = end.evaluation.point
+    return -TUNING.wandering if point.noise.apart and len(point.poles) < len(free.projection.p) else 0.0
+
+
+def _each_wandering(white: LikelihoodEvaluation, rate: float, part: float) -> InnovationsModel:
+    """The model with a lag for each output, of whose errors a part is foretold by past ones."""
+    noise = white.point.noise
+    for size, along in zip(np.sqrt(np.diag(white.covariance)), np.eye(white.p), strict=True):
+        noise = noise.with_lag(rate / noise.step, size * along, part * np.exp(-rate) / size * along)
+    return replace(white.point, noise=noise)
+
+
+def _slow(foretold: _Predictors) -> Mask:
+    """Poles that a record may show as noise that wanders; none of a number that is given."""
+    p = foretold.free.projection.p
+    return np.asarray((np.abs(p) < TUNING.damped_apart * foretold.rows[0].bin) & foretold.orders.are_open)
+
+
 def _promises_lag(evaluation: LikelihoodEvaluation, limit: float) -> bool:
     """Whether one step of the gains of a lag promises some of what the BIC asks for, or of what a `limit` does."""
     problem, outputs = evaluation.problem, evaluation.p
     needed = max(2 * outputs * np.log(problem.samples * outputs), evaluation.bic - limit)
     for rate in _RATES:
         begun = problem.evaluated(_lag_before(evaluation, rate, 0.0))
+        if not np.isfinite(begun.cost):
+            continue
         numbers = problem.numbers_before_shared(begun.point.noise) - outputs + np.arange(outputs)
         others = np.setdiff1d(np.arange(len(begun.normal[1])), numbers)
         if begun.promised(numbers, others) > _HINT * needed:
@@ -381,12 +449,16 @@ def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, sh
     return gain > charge + 2 * _SURE and _is_likelier(white, forced.evaluation.cost, more)
 
 
-def _own_noise(best: LikelihoodEvaluation, white: LikelihoodEvaluation | None) -> tuple[bool, tuple[Array, ...]]:
+def _own_noise(
+    best: LikelihoodEvaluation, white: LikelihoodEvaluation | None, certain: bool
+) -> tuple[bool, tuple[Array, ...]]:  # fmt: skip
     """Whether autoregressive noise of each output is likelier by the BIC, and its innovations filters.
 
     It is the noise that a plant fitted in white noise leaves, or one fitted beside forces.  No filters where it is so
-    much less likely that other poles make no difference.
+    much less likely that other poles make no difference, or forces are `certain`.
     """
+    if certain:
+        return False, ()
     problem, noise, p = best.problem, best.point.noise, best.p
     charge = float(np.log(problem.samples * p))
     unknowns = p * (p - 1) // 2 + (noise.unknowns if problem.coloured else 0)
@@ -447,12 +519,12 @@ def _of_undriven_lags(best: Minimum) -> Minimum:
 
 
 def _undriven(noise: NoiseSections) -> Iterator[NoiseSections]:
-    """The noise where inputs do not drive the first-order section, or without one, a pole of a heavily damped one."""
+    """The noise where inputs do not drive the first-order section, or a pole of a heavily damped one."""
     k = noise.pairs
-    if len(noise.sections.rates):
-        if k:
-            yield replace(noise, sections=Sections.from_coordinates(noise.sections.x[: 2 * k]), lags=noise.rates)
+    if noise.apart:
         return
+    if len(noise.sections.rates) and k:
+        yield replace(noise, sections=Sections.from_coordinates(noise.sections.x[: 2 * k]), lags=noise.rates)
     heavy = noise.sections.decay > _HEAVY * np.sqrt(np.maximum(noise.sections.product, 0.0))
     for section in np.flatnonzero(heavy).tolist():
         yield from (noise.of_two_lags(section, driven) for driven in (0, 1))
@@ -476,7 +548,8 @@ def _doubtful(best: Minimum) -> list[int]:
         values, these = point.shared[rows].ravel()[these >= 0], these[these >= 0]
         inner = covariance[np.ix_(these, these)]
         size = float(values @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ values)
-        if size < (2 + len(these) + 4 * evaluation.p) * charge:
+        of_noise = 0 if point.noise.apart else 4 * evaluation.p
+        if size < (2 + len(these) + of_noise) * charge:
             doubtful.append(k)
     return doubtful
 
@@ -486,7 +559,8 @@ def _without(best: Minimum, section: int) -> Minimum:
     noise = best.evaluation.point.noise
     k = len(noise.sections.decay)
     kept = np.delete(np.arange(len(noise.sections.x)), [section, k + section])
-    states = np.delete(np.arange(noise.states), [2 * section, 2 * section + 1])
+    states = np.arange(noise.states)
+    states = states if noise.apart else np.delete(states, [2 * section, 2 * section + 1])
     fewer = replace(
         noise, sections=Sections.from_coordinates(noise.sections.x[kept]), C=noise.C[:, states], K=noise.K[states],
         references=np.delete(noise.references, section),
@@ -741,7 +815,7 @@ def _in_noise(free: FreeFit, best: Minimum, alone: float, certain: bool) -> Free
     floors = np.maximum(1.0, ROUNDED * projection.rounded / (samples * np.diag(evaluation.covariance)))
     loglik = -0.5 * evaluation.cost - samples * float(np.sum(np.log(free.scales * np.sqrt(floors))))
     criteria = Criteria.of(loglik, unknowns + p, float(samples * p))
-    if not certain and free.criteria.bic <= criteria.bic and (free.noise or noise.is_coloured):
+    if not certain and free.criteria.bic <= criteria.bic + _margin(best, free) and (free.noise or noise.is_coloured):
         return free
     finding = _finding(free, noise, evaluation, 0.5 * (alone - evaluation.cost))
     of_noise = (
@@ -750,13 +824,17 @@ def _in_noise(free: FreeFit, best: Minimum, alone: float, certain: bool) -> Free
     others = tuple(each for each in free.findings if each.cause not in of_noise)
     return replace(
         free, projection=joint, unknowns=unknowns, criteria=criteria, findings=(*others, finding), measured=None,
-        noise=(), beside=noise, delay_open=False,
+        noise=(), beside=noise, delay_open=free.delay_open and bool(free.delay.any()),
     )  # fmt: skip
 
 
 def _finding(free: FreeFit, noise: FittedNoise, evaluation: LikelihoodEvaluation, gain: float) -> Finding:
     """What is told of the noise: of forces their share of each output, or which outputs share noise."""
     labels = free.channels[0].output_labels
+    if noise.sections.apart:
+        seen = noise.sections.C**2 / np.diag(noise.covariance)[:, None]
+        alone = [label for label, of_it in zip(labels, seen, strict=True) if np.all(of_it > _MOST * seen.sum(axis=0))]
+        return Finding(Cause.SLOW_NOISE, tuple(noise.sections.lags.tolist()), gain, "".join(alone))
     if noise.is_coloured:
         squares, noises = np.zeros((2, len(labels)))
         for experiment, disturbance in zip(evaluation.problem.experiments, evaluation.disturbances, strict=True):

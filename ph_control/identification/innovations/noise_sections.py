@@ -4,7 +4,7 @@ White forces of any number on a plant, with white noise of its sensors that may 
 `H Sigma H^*` with `Sigma` the covariance of what the past of the outputs does not foretell.  `K` is the Kalman gain of
 the predictor, whose poles are those of `A - K C`.  A section is `exp(h [[-decay, w], [-square / w, -decay]])` with a
 reference `w` of its own: smooth through critical damping.  Forces that are not white, as of turbulence, come through
-lags of their own, which inputs do not drive.
+lags of their own, which inputs do not drive; noise of sensors that wander through such lags alone.
 """
 
 from __future__ import annotations
@@ -57,6 +57,8 @@ class NoiseSections:
         Kalman gain of the predictor.
     lags : ndarray, shape (l,)
         Rates of first-order states that noise alone comes through: N = 2 k + l or 2 k + 1 + l states.
+    apart : bool
+        Whether noise comes through the lags alone, N = l, and not through the plant.
     """
 
     sections: Sections
@@ -65,6 +67,7 @@ class NoiseSections:
     C: Array
     K: Array
     lags: Array = field(default_factory=lambda: np.zeros(0))
+    apart: bool = False
 
     @classmethod
     def without_states(cls, outputs: int) -> NoiseSections:
@@ -77,10 +80,15 @@ class NoiseSections:
         """Number of states N."""
         return self.C.shape[1]
 
+    @cached_property
+    def passed(self) -> Sections:
+        """Sections of the plant that noise comes through: all of them, or none."""
+        return Sections.of(np.zeros(0, complex)) if self.apart else self.sections
+
     @property
     def pairs(self) -> int:
-        """Number of second-order sections."""
-        return len(self.sections.decay)
+        """Number of second-order sections that noise comes through."""
+        return len(self.passed.decay)
 
     @property
     def unknowns(self) -> int:
@@ -90,7 +98,7 @@ class NoiseSections:
     @property
     def rates(self) -> Array:
         """Rates of all first-order states: that of the plant, and lags."""
-        return np.concatenate([self.sections.rates, self.lags])
+        return np.concatenate([self.passed.rates, self.lags])
 
     @cached_property
     def x(self) -> Array:
@@ -100,7 +108,7 @@ class NoiseSections:
     @cached_property
     def _turn(self) -> tuple[Array, Array, Array, Array]:
         """Of each section `cos(r h)` and `sin(r h) / r`, `r` the root of its square; derivatives by the square."""
-        q, h = self.sections.square, self.step
+        q, h = self.passed.square, self.step
         root = np.sqrt(np.abs(q))
         angle = root * h
         near = angle**2 < _NEAR
@@ -116,23 +124,25 @@ class NoiseSections:
     def blocks(self) -> Array:
         """Blocks (k, 2, 2) of `A`."""
         cosine, sine, *_ = self._turn
-        return self._in_blocks(cosine, sine, self.sections.square)
+        return self._in_blocks(cosine, sine, self.passed.square)
 
     def _in_blocks(self, cosine: Array, sine: Array, square: Array) -> Array:
-        growth = np.exp(-self.sections.decay * self.step)
-        rows = [[cosine, self.references * sine], [-square / self.references * sine, cosine]]
+        growth, w = np.exp(-self.passed.decay * self.step), self.references[: self.pairs]
+        rows = [[cosine, w * sine], [-square / w * sine, cosine]]
         return np.moveaxis(growth * np.array(rows), 2, 0)
 
     @cached_property
     def slopes(self) -> list[tuple[int, Array]]:
         """Derivatives of `A` by the coordinates `x`: first state and block of each."""
         _, sine, cosine_by, sine_by = self._turn
-        growth, w, q = np.exp(-self.sections.decay * self.step), self.references, self.sections.square
+        growth, w, q = np.exp(-self.passed.decay * self.step), self.references[: self.pairs], self.passed.square
         by_square = self._in_blocks(cosine_by, sine_by, q)
         by_square[:, 1, 0] -= growth * sine / w
-        decay = self.sections.decay[:, None, None]  # that of a product moves the square as well
+        decay = self.passed.decay[:, None, None]  # that of a product moves the square as well
         by_decay = -self.step * self.blocks - 2 * decay * by_square
-        each = [(2 * k, block) for k, block in enumerate(by_decay)]
+        none = np.zeros((0, 0))  # of what noise does not come through
+        each = [(0, none)] * (len(self.sections.x) - len(self.passed.x))
+        each += [(2 * k, block) for k, block in enumerate(by_decay)]
         each += [(2 * k, block) for k, block in enumerate(by_square)]
         single = -self.step * np.exp(-self.rates * self.step)
         return each + [(2 * self.pairs + k, np.array([[slope]])) for k, slope in enumerate(single)]
@@ -283,7 +293,7 @@ class NoiseSections:
 
     def _commuting(self, real_shapes: bool) -> Iterator[tuple[int, Array]]:
         """Matrices that commute with each block; with those of modes, that are diagonal, where shapes are real."""
-        for k, (w, square) in enumerate(zip(self.references, self.sections.square, strict=True)):
+        for k, (w, square) in enumerate(zip(self.references, self.passed.square, strict=False)):
             yield 2 * k, np.eye(2)
             if not (real_shapes and square > 0):
                 yield 2 * k, np.array([[0.0, 1.0], [-square / w**2, 0.0]])
@@ -319,19 +329,44 @@ class NoiseSections:
     def of_two_lags(self, section: int, driven: int) -> NoiseSections:
         """The model with a first-order section, and a lag, in place of a section; the slower or faster is `driven`.
 
-        Poles nearer to one another than a part of their size are moved apart.
+        Poles nearer to one another than a part of their size are moved apart.  With a first-order section that there
+        is, the one that is driven makes a section.
         """
         sections, both, k = self.sections, [2 * section, 2 * section + 1], self.pairs
         decay, w = sections.decay[section], self.references[section]
         half = np.sqrt(max(-sections.square[section], (_HALF_APART * decay) ** 2))
         order = [1, 0] if driven else [0, 1]
-        basis = np.array([[1.0, 1.0], [half / w, -half / w]])[:, order]
+        basis = _first_order(half / w)[:, order]
         rate, lag = (decay + np.array([-half, half]))[order]
         others = np.delete(np.arange(2 * k), both)
         C = np.column_stack([self.C[:, others], self.C[:, both] @ basis, self.C[:, 2 * k :]])
         K = np.concatenate([self.K[others], np.linalg.solve(basis, self.K[both]), self.K[2 * k :]])
-        x = np.append(np.delete(sections.x, [section, k + section]), rate)
+        x, references = np.delete(sections.x, [section, k + section]), np.delete(self.references, section)
+        if not len(sections.rates):
+            x = np.append(x, rate)
+            lags = np.insert(self.lags, 0, lag)
+            return replace(
+                self, sections=Sections.from_coordinates(x), C=C, K=K, lags=lags, references=references
+            )  # fmt: skip
+        # states are now the other sections, the driven one, the lag, the first-order section that was, and other lags
+        first, second = sorted(([rate, 2 * k - 2], [sections.rates[0], 2 * k]))
+        half = max(0.5 * (second[0] - first[0]), _HALF_APART * first[0])
+        pair, basis = [int(first[1]), int(second[1])], _first_order(1.0)
+        rest = np.delete(np.arange(self.states), [*range(2 * k - 2), *pair])
+        kept = np.arange(2 * k - 2)
+        C = np.column_stack([C[:, kept], np.linalg.solve(basis.T, C[:, pair].T).T, C[:, rest]])
+        K = np.concatenate([K[kept], basis @ K[pair], K[rest]])
+        decay = 0.5 * (first[0] + second[0])
+        x = np.concatenate([np.append(x[: k - 1], decay), np.append(x[k - 1 : -1], decay**2 - half**2)])
         return replace(
             self, sections=Sections.from_coordinates(x), C=C, K=K, lags=np.insert(self.lags, 0, lag),
-            references=np.delete(self.references, section),
+            references=np.append(references, half),
         )  # fmt: skip
+
+
+def _first_order(ratio: float) -> Array:
+    """Basis in which a section of real poles is two first-order states, the slower first.
+
+    `ratio` is that of half their distance to the reference.
+    """
+    return np.array([[1.0, 1.0], [ratio, -ratio]])

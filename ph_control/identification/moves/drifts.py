@@ -45,7 +45,7 @@ def may_drift(fit: FreeFit) -> bool:
 def are_slow(fit: FreeFit) -> Mask:
     """Return which poles are so slow that a record shows them as a drift."""
     records = [record for record in fit.projection.experiments if isinstance(record, FreeRecord)]
-    return np.asarray(fit.projection.d < TUNING.damped_apart * min(record.bin for record in records))
+    return np.asarray(fit.projection.d < TUNING.damped_apart * min((record.bin for record in records), default=0.0))
 
 
 def drift_of(fit: FreeFit, gain: float) -> Finding:

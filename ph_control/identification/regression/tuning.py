@@ -22,6 +22,8 @@ class Tuning:
         4  # samples of it that coloured noise depends on, at most: few, so that no mode passes for noise
     )
     broad_noise: float = 8.0  # bins: half-width of a peak of it, at least; what is narrower is a mode
+    ringing_noise: float = 3.0  # the same of an autoregression, which is cheaper than a mode that inputs drive
+    wandering: float = 20.0  # by which the BIC is smaller, at least, of slow poles in place of noise that wanders
     tails: float = 10.0  # degrees of freedom of the t distribution that a law of noise is fitted with
     fewest_points: int = 20  # to spare: with fewer no law of noise is estimated
 

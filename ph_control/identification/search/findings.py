@@ -342,7 +342,7 @@ def _of_slow_noise(finding: Finding, terms: _Terms) -> str:
             f"{finding.output!r} has slow motion of its own, {poles}: a drift or coloured noise of the sensor, and no "
             "mode."
         )
-    return f"Outputs share slow motion, {poles}: forces that are not white, and no mode."
+    return f"Outputs show slow motion, {poles}: forces that are not white, or sensors that wander, and no mode."
 
 
 def _of_stuck(finding: Finding, terms: _Terms) -> str:

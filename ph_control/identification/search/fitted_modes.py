@@ -83,11 +83,6 @@ class Criteria:
         return self.bic if name == "holdout" else float(getattr(self, name))
 
 
-def past_of_noise(samples: int, foretold: Array, each: float) -> float:
-    """How much a criterion falls where noise may depend on its past, each sample of which it charges for."""
-    return float(np.min(samples * np.log(foretold) + each * np.arange(len(foretold))))
-
-
 def stands_out(gain: float, loss: float, samples: int, unknowns: int, more: int) -> bool:
     """Tell whether noise would hardly let so many unknowns `more` gain as much anywhere in the band."""
     spare = samples - unknowns

@@ -25,7 +25,7 @@ from ..regression.sections import PoleRegion
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow, real_rows
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from .whitening import autoregression, correlations
+from .whitening import autoregression, correlations, wandering
 
 _WIDTHS = 4  # half-widths of a mode that the half of its window has, at least
 _ROUNDS = 3  # of the local problem, weighted with the pole found
@@ -44,6 +44,7 @@ _ALL_AT_ONCE = 1 << 14  # real equations up to which poles are those of a common
 _RELOCATIONS = 8  # of these
 _CROWDED = 0.01  # damping ratio that they begin with
 _ABOVE = 2.0  # of the largest frequency: where modes above the band still shape what is in it
+_LONGEST_PAST = 64  # samples that a filter of the noise takes
 
 
 Residuals = list[ComplexArray]  # of the outputs (q, K) of each set of rows, in the frequency domain
@@ -51,15 +52,30 @@ Residuals = list[ComplexArray]  # of the outputs (q, K) of each set of rows, in 
 
 @dataclass(frozen=True)
 class NoiseOrders:
-    """Autoregressions of order 0, 1, ... of the noise of an output, and their variances over that of the rows."""
+    """Innovations filters of the noise of an output, their numbers, and their variances over that of the rows."""
 
-    models: list[Array]
+    filters: list[Array]
+    unknowns: Array
     variances: Array
 
+    @classmethod
+    def of(cls, products: Array, shortest: int) -> NoiseOrders:
+        """Autoregressions of order 0, 1, ..., and noise that wanders beside white noise, of residuals."""
+        models, variances = autoregression(products[: TUNING.past_of_noise + 1], shortest)
+        filters = [np.concatenate([[1.0], -phi]) for phi in models]
+        others = list(wandering(products, shortest))
+        unknowns = np.append(np.arange(len(models)), np.full(len(others), 2))
+        return cls(
+            filters + [b for b, _ in others], unknowns, np.append(variances, [variance for _, variance in others])
+        )
+
+    def costs(self, count: int, each: float) -> Array:
+        """What a criterion says of each filter that charges so much for a number."""
+        return np.asarray(count * np.log(self.variances) + each * self.unknowns)
+
     def innovations(self, count: int, each: float) -> Array:
-        """The innovations filter that a criterion prefers which charges so much for each coefficient."""
-        order = int(np.argmin(count * np.log(self.variances) + each * np.arange(len(self.variances))))
-        return np.concatenate([[1.0], -self.models[order]])
+        """The innovations filter that a criterion prefers."""
+        return self.filters[int(np.argmin(self.costs(count, each)))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +302,7 @@ class Records(FreeSearch):
         return replace(self, data=rows, innovations=innovations)
 
     def noise(self, residuals: Residuals) -> list[NoiseOrders]:
-        """Autoregressions of the noise of each output in the data, from the residuals of the rows."""
+        """Filters of the noise of each output in the data, from the residuals of the rows."""
         orders, count = [], 1 + max(int(record.outputs.max()) for record in self.data)
         rounded = self.rounded(count)
         for output in range(count):
@@ -295,20 +311,21 @@ class Records(FreeSearch):
                 (record.length, part[record.outputs == output]) for record, part in pairs if output in record.outputs
             ]
             lengths = [length for length, _ in seen]
-            rows = correlations([part[0] for _, part in seen], lengths)
+            rows = correlations([part[0] for _, part in seen], lengths, _LONGEST_PAST)
             masks = [np.fft.rfft(record.observed.astype(float)) for record in self.data if output in record.outputs]
-            pairs_seen = correlations(masks, lengths)
+            pairs_seen = correlations(masks, lengths, _LONGEST_PAST)
             # of means over the pairs of samples that were both measured
             sums = rows * pairs_seen[0] / np.maximum(pairs_seen, 1.0)
             b = self.innovations[output] if self.innovations else np.ones(1)
             if len(b) > 1:
-                sums = correlations([_unfiltered(part[0], b, length) for length, part in seen], lengths)
-            models, variances = autoregression(sums, min(lengths))
+                spectra = [_unfiltered(part[0], b, length) for length, part in seen]
+                sums = correlations(spectra, lengths, _LONGEST_PAST)
+            noise = NoiseOrders.of(sums, min(lengths))
             share = sums[0] / rows[0] if rows[0] > 0 else 1.0
             # rounding is not foretold: through a filter it is as many times as large as that makes white noise
-            powers = np.array([1 + phi @ phi for phi in models])
+            powers = np.array([each @ each for each in noise.filters])
             least = rounded[output] * powers / (b @ b * rows[0]) if rows[0] > 0 else 0.0
-            orders.append(NoiseOrders(models, np.maximum(variances * share, least)))
+            orders.append(replace(noise, variances=np.maximum(noise.variances * share, least)))
         return orders
 
     def rounded(self, outputs: int) -> Array:

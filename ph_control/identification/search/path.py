@@ -23,7 +23,7 @@ from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Progress
 from ..uncertainty.residual_tests import all_white
 from .channel_rows import Experiments, RowOptions, records_of, refuse_unmeasured, responses_of
-from .fitted_modes import Criteria, FreeOrder, count_modes, count_real_poles, past_of_noise, stands_out
+from .fitted_modes import Criteria, FreeOrder, count_modes, count_real_poles, stands_out
 from .free_search import FreeModel, FreeSearch, Records, Responses
 
 Reports = Callable[[int], Progress | None]  # what reports the iterations for a number of modes, if anything
@@ -240,7 +240,7 @@ class FreePath:
         if self.options.white or not (len(model.p) or model.innovations) or self.is_exact(model):
             return cost
         for count, noise in zip(self.counts, model.noise, strict=False):
-            cost += past_of_noise(int(count), noise.variances, self._price)
+            cost += float(noise.costs(int(count), self._price).min())
         return cost
 
     @property

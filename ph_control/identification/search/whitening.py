@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -12,12 +12,16 @@ from ..._types import Array, ComplexArray, RealOrComplex
 from ..regression.modal_regressors import SampledModes
 from ..regression.tuning import TUNING
 
+_FORGOTTEN = 0.8, 0.9, 0.95, 0.98  # of the past of noise that wanders, after a sample, by a predictor
+_TRUNCATED = 0.05  # of it, beyond which a filter ends
 _RATIOS = np.geomspace(1e-4, 1e4, 9)  # of input noise, seen at the median of the bins, to output noise
 
 
-def correlations(residuals: Sequence[ComplexArray], lengths: Sequence[int]) -> Array:
-    """Sums of products of residuals, given by their transforms, with those 0, 1, ... samples before."""
-    most = max(0, min(TUNING.past_of_noise, min(lengths) // 4))
+def correlations(
+    residuals: Sequence[ComplexArray], lengths: Sequence[int], most: int = TUNING.past_of_noise
+) -> Array:  # fmt: skip
+    """Sums of products of residuals, given by their transforms, with those 0, 1, ..., at `most` samples before."""
+    most = max(0, min(most, min(lengths) // 4))
     products = np.zeros(most + 1)
     for residual, length in zip(residuals, lengths, strict=True):
         products += np.fft.irfft(np.abs(residual) ** 2, length)[: most + 1]
@@ -35,6 +39,33 @@ def autoregression(products: Array, shortest: int) -> tuple[list[Array], Array]:
         if order and _oscillates(phi, shortest):
             variances[order] = variances[order - 1]
     return models, variances
+
+
+def wandering(products: Array, shortest: int) -> Iterator[tuple[Array, float]]:
+    """Innovations filters of noise that wanders beside white noise, and what they leave relative to the residuals.
+
+    Of `(1 - c / z) / (1 - a / z)` for some `c`, with the best `a`, as many samples as there are products; none whose
+    past is longer than that, or which is slower than the `shortest` record.
+    """
+    most = len(products) - 1
+    if most < 2 or products[0] <= 0:
+        return
+    slowest = float(np.exp(-2 * np.pi / shortest))
+    for c in _FORGOTTEN:
+        length = min(most, int(np.log(_TRUNCATED) / np.log(c)))
+        g = np.asarray(c ** np.arange(length + 1), float)
+        h = np.concatenate([np.zeros(1), g[:-1]])
+        # squares of what `g - a h` leaves
+        squares, crossed, shifted = (_left(products, x, y) for x, y in ((g, g), (g, h), (h, h)))
+        a = min(crossed / shifted, slowest)
+        if a > c:
+            yield g - a * h, float((squares - 2 * a * crossed + a**2 * shifted) / products[0])
+
+
+def _left(products: Array, x: Array, y: Array) -> float:
+    """Sum of products of residuals through two filters."""
+    lags = np.abs(np.arange(1 - len(x), len(x)))
+    return float(np.correlate(x, y, "full") @ products[lags])
 
 
 def foretold(products: Array) -> tuple[list[Array], Array]:
@@ -62,7 +93,7 @@ def _oscillates(phi: Array, samples: int) -> bool:
     """Whether an autoregression has a peak as narrow as that of a mode in so many samples."""
     poles = np.roots(np.concatenate([[1.0], -phi]))
     radius = np.abs(poles[poles.imag > 0])
-    return bool(np.any(radius > np.exp(-2 * np.pi / samples * TUNING.broad_noise)))
+    return bool(np.any(radius > np.exp(-2 * np.pi / samples * TUNING.ringing_noise)))
 
 
 def likeliest_ratio(unlikely: Callable[[float], float], gains: Array) -> tuple[float, float]:
