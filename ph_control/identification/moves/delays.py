@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.linalg import toeplitz
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 from scipy.stats import chi2
@@ -45,6 +46,7 @@ _ROUNDS = 4  # of a delay and the poles beside it, each as the other shows it
 _NEAR = 3  # samples, by which a delay may be another for the poles that were found with it
 _LAGS = 6  # of different rates, with which delays are looked for
 _TOGETHER = 64  # outputs of a record, about: products of more of them with one another cost more than they spare
+_TOLD = 1e-2  # of what an input tells at most: at combinations of lags where it has less it tells nothing
 
 # lags that come late
 _SAMPLES = 20_000  # of each record that are looked at
@@ -520,15 +522,18 @@ def _undelayed(fit: FreeFit) -> Lateness:
     return replace(fit.lateness, outputs=fit.delay - fit.delay.min())
 
 
-def leaves_traces(projection: FreeProjection) -> bool:
-    """Whether what is left of outputs is no white noise, or goes with an input some samples before or after."""
+def leaves_traces(projection: FreeProjection, together: bool = False) -> bool:
+    """Whether what is left of outputs is no white noise, or goes with an input some samples before or after.
+
+    All samples `together` tell more of what is missing, and no more of delays that are right to a part of a sample.
+    """
     if np.all(projection.losses <= ROUNDED * projection.rounded):
         return False
     pairs = zip(projection.experiments, projection.predictions(), strict=True)
     return _are_traces([
         (rows.u[: rows.inputs], np.where(rows.observed, rows.measured - predicted, np.nan))
         for rows, predicted in pairs if isinstance(rows, FreeRecord)
-    ])  # fmt: skip
+    ], together=together)  # fmt: skip
 
 
 def may_be_late(fit: FreeFit) -> bool:
@@ -538,13 +543,13 @@ def may_be_late(fit: FreeFit) -> bool:
     """
     p = fit.projection.p
     if fit.beside is not None:
-        return errors_leave_traces(fit)
+        return errors_leave_traces(fit, together=True)
     if not fit.noise or not len(p) or np.any(are_heavy(p)):
         return True
-    return leaves_traces(fit.projection)
+    return leaves_traces(fit.projection, together=True)
 
 
-def errors_leave_traces(fit: FreeFit) -> bool:
+def errors_leave_traces(fit: FreeFit, together: bool = False) -> bool:
     """Whether prediction errors beside forces or shared noise are no white noise, or go with what an input was.
 
     What an input will be answers to them in a closed loop.
@@ -552,13 +557,15 @@ def errors_leave_traces(fit: FreeFit) -> bool:
     records = [rows for rows in fit.projection.experiments if isinstance(rows, FreeRecord)]
     first = np.unique(experiments_of(records, fit.channels), return_index=True)[1].tolist()
     inputs = (records[place].u[: records[place].inputs] for place in first)
-    return _are_traces(list(zip(inputs, fit.beside.errors, strict=True)), first=0)
+    return _are_traces(list(zip(inputs, fit.beside.errors, strict=True)), first=0, together=together)
 
 
-def _are_traces(parts: Sequence[tuple[Array, Array]], first: int = -max(map(abs, TUNING.delays))) -> bool:
+def _are_traces(
+    parts: Sequence[tuple[Array, Array]], first: int = -max(map(abs, TUNING.delays)), together: bool = False
+) -> bool:  # fmt: skip
     """Whether residuals (p, T), NaN where missing, are no white noise or go with inputs (m, T), of some records.
 
-    With inputs so many samples before and more, from the `first` on.
+    With inputs so many samples before and more, from the `first` on; each by itself, and all `together` as well.
     """
     most, p_values = max(map(abs, TUNING.delays)), []
     for u, remaining in parts:
@@ -569,8 +576,22 @@ def _are_traces(parts: Sequence[tuple[Array, Array]], first: int = -max(map(abs,
         U, E = np.fft.rfft(u, size), np.fft.rfft(residuals, size)
         products = np.fft.irfft(E[:, None] * U.conj(), size)[..., np.r_[first : most + 1]]
         power = np.sum(residuals**2, axis=1)[:, None] * np.sum(u**2, axis=1) / np.sum(seen, axis=1)[:, None]
-        p_values += chi2.sf(products**2 / np.where(power > 0, power, np.inf)[..., None], 1).ravel().tolist()
+        scores = products / np.sqrt(np.where(power > 0, power, np.inf))[..., None]
+        p_values += chi2.sf(scores**2, 1).ravel().tolist()
+        for of_input, spectrum in zip(np.moveaxis(scores, 1, 0), U, strict=True) if together else ():
+            p_values += _together(of_input, spectrum)
     return bool(p_values) and min(p_values) * len(p_values) < TUNING.white
+
+
+def _together(scores: Array, spectrum: ComplexArray) -> list[float]:
+    """p-values of the scores (p, lags) of each output with an input of some spectrum, all lags taken together."""
+    products = np.fft.irfft(np.abs(spectrum) ** 2)[: scores.shape[1]]
+    if not products[0] > 0:
+        return []
+    values, vectors = np.linalg.eigh(toeplitz(products / products[0]))
+    told = values > _TOLD * values[-1]
+    squares = np.sum((scores @ vectors[:, told]) ** 2 / values[told], axis=1)
+    return [float(p) for p in chi2.sf(squares, int(told.sum()))]
 
 
 @dataclass(frozen=True)

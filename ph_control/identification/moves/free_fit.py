@@ -38,6 +38,7 @@ from .response_noise import in_noise_of_the_gain, in_noise_of_the_window, with_f
 
 _FEW_MODES = 5  # that few points of responses do not show beside a background
 
+_SURELY_GROWING = 40.0  # by which the BIC is smaller with a pole that grows, at least
 _SHORTEST_SPAN = 32  # samples of one level of noise that are searched
 
 
@@ -71,8 +72,8 @@ def free_fit(
     """
     given = Assumptions(**assumptions)
     fit = _fitted(channels, order, given, start)
-    # a pole that grows may stand for a part of what is more than white noise
-    if start is None and _grows(fit) and not (fit.interrupted or fit.leaves_white_noise):
+    # a pole that grows may stand for a part of what is more than white noise, or for noise that wanders
+    if start is None and _grows(fit) and not fit.interrupted and (order == "auto" or not fit.leaves_white_noise):
         return _or_of_decaying_poles(fit, channels, order, given)
     return fit
 
@@ -83,7 +84,10 @@ def _grows(fit: FreeFit) -> bool:
 
 
 def _or_of_decaying_poles(fit: FreeFit, channels: Experiments, order: int | str, given: Assumptions) -> FreeFit:
-    """Return the fit, or that whose poles may not grow, where that is likelier."""
+    """Return the fit, or that whose poles may not grow, unless that is far less likely.
+
+    What grows fits the end of most records of noise that wanders, where it was let in, and none that follow.
+    """
     try:
         steady = _fitted(channels, order, replace(given, growing=False), None)
     except KeyboardInterrupt:
@@ -91,7 +95,8 @@ def _or_of_decaying_poles(fit: FreeFit, channels: Experiments, order: int | str,
     if steady.interrupted:
         return replace(fit, interrupted=True)
     share = fit.projection.rows / steady.projection.rows
-    return steady if steady.criteria.bic * share < fit.criteria.bic else fit
+    margin = _SURELY_GROWING if order == "auto" else 0.0
+    return steady if steady.criteria.bic * share < fit.criteria.bic + margin else fit
 
 
 def free_refinement(channels: Experiments, like: FreeFit, p: ComplexArray, **assumptions: Any) -> FreeFit:
@@ -162,23 +167,42 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
         return forced
     open_delay = assumptions.delay is None and may_be_late(forced)
     if forced.beside is not None and forced.beside.is_coloured:
-        forced = beside_forces_and_more(forced, fit, search, may_be_late=open_delay)
-        if slow is not None:
-            return _or_late(forced, slow, search)
-        # modes are told from forces, which may stand for lags that come late
-        lags = assumptions.delay is None and bool(np.all(are_heavy(forced.projection.p)))
-        return _or_late(forced, fit, search) if lags or (open_delay and not search.automatic) else forced
+        return _late_or_not(forced, fit, slow, in_noise, open_delay, search)
     in_white_noise = _beside_all_else(fit.with_delay_open(open_delay), search)
     if forced.beside is not None:
         return _in_likelier_rows(forced, in_white_noise, in_noise, search)
     if _grows(in_white_noise) and not (search.automatic or fit.noise):
         return _or_in_residual_noise(in_white_noise, path, open_delay, search)
-    # a drift may hide the noise that outputs share
-    drifts = in_white_noise.offset > max(1, fit.offset) and not (in_white_noise.delay.any() or in_white_noise.noise)
-    return in_noise(in_white_noise) if drifts else in_white_noise
+    return in_noise(in_white_noise) if _may_hide_noise(in_white_noise, fit, search) else in_white_noise
 
 
-def _or_late(forced: FreeFit, fit: FreeFit, search: Search) -> FreeFit:
+def _may_hide_noise(changed: FreeFit, fit: FreeFit, search: Search) -> bool:
+    """Whether other noise is looked for once more, beside the drifts and delays by which a fit was changed.
+
+    A drift may hide the noise that outputs share, a delay what comes through the plant, and slow poles stand for noise
+    that wanders.
+    """
+    drifts = changed.offset > max(1, fit.offset) and not (changed.delay.any() or changed.noise)
+    late = bool(changed.noise) and np.any(changed.delay != fit.delay)
+    wanders = changed is not fit and are_slow(changed).any()
+    return bool(drifts or (search.automatic and (late or wanders)))
+
+
+def _late_or_not(
+    forced: FreeFit, fit: FreeFit, slow: FreeFit | None, in_noise: InNoise, open_delay: bool, search: Search
+) -> FreeFit:  # fmt: skip
+    """Return the fit beside forces, with a delay and drifts if these are likelier, or another with a delay."""
+    forced = beside_forces_and_more(forced, fit, search, may_be_late=open_delay)
+    forced = _late_beside_forces(forced, in_noise, search)
+    if slow is not None:
+        return _or_late(forced, slow, in_noise, search)
+    # modes are told from forces, which may stand for lags that come late
+    lags = search.assumptions.delay is None and bool(np.all(are_heavy(forced.projection.p)))
+    late = lags or (open_delay and not search.automatic)
+    return _or_late(forced, fit, in_noise, search) if late else forced
+
+
+def _or_late(forced: FreeFit, fit: FreeFit, in_noise: InNoise, search: Search) -> FreeFit:
     """Return the fit beside forces, or another with a delay in white noise or that of each output, if it is likelier.
 
     Of a number of poles that is given none can stand for the delay, and forces may.
@@ -188,8 +212,14 @@ def _or_late(forced: FreeFit, fit: FreeFit, search: Search) -> FreeFit:
     late = _beside_all_else(fit.with_delay_open(search.assumptions.delay is None), search)
     if late.interrupted:
         return replace(forced, interrupted=True)
+    # integrals of inputs look like noise that wanders
+    wanders = forced.beside is not None and forced.beside.sections.apart and bool(are_slow(late).any())
+    late = in_noise(late) if wanders else late
+    if late.interrupted:
+        return replace(forced, interrupted=True)
     share = forced.projection.rows / late.projection.rows
-    return late if late.delay.any() and late.criteria.bic * share < forced.criteria.bic else forced
+    least = TUNING.wandering if wanders and late.beside is None else 0.0
+    return late if late.delay.any() and late.criteria.bic * share < forced.criteria.bic - least else forced
 
 
 def _prepared(
@@ -394,14 +424,48 @@ def _in_own_noise(fit: FreeFit, filters: tuple[Array, ...], search: Search) -> F
 
 def _likelier_in_own_noise(forced: FreeFit, search: Search) -> FreeFit | None:
     """Fit the modes of a fit beside forces in coloured noise of each output instead; None if that is less likely."""
+    coloured = _with_own_noise(forced, search)
+    return coloured if coloured.interrupted or coloured.criteria.bic <= forced.criteria.bic else None
+
+
+def _with_own_noise(forced: FreeFit, search: Search) -> FreeFit:
+    """Fit the modes of a fit beside forces in coloured noise of each output instead."""
     path = search.path(forced.channels, forced.lateness, forced.offset, forced.intersample)
     path.whiten(forced.own_noise, path.power)
     try:
         model = path.in_its_noise(path.model(forced.projection.p))
+        # a mode that forces alone moved was that of the noise
+        while search.automatic and len(model.p):
+            weakest = int(np.argmin(evidence_of(path, model)))
+            fewer = path.in_its_noise(path.model(np.delete(model.p, weakest)))
+            if path.cost(fewer) > path.cost(model):
+                break
+            model = fewer
     except KeyboardInterrupt:
         return replace(forced, interrupted=True)
-    coloured = finished(path, model, forced.channels)
-    return coloured if coloured.criteria.bic <= forced.criteria.bic else None
+    return finished(path, model, forced.channels)
+
+
+def _late_beside_forces(forced: FreeFit, in_noise: InNoise, search: Search) -> FreeFit:
+    """Return a fit beside forces, or one with a delay that leaves traces, or heavily damped modes in its place.
+
+    It is looked for in coloured noise of each output, and stays if that is likelier.
+    """
+    is_open = search.assumptions.delay is None and search.automatic and not (forced.interrupted or forced.delay.any())
+    if not (is_open and forced.own_noise and (are_heavy(forced.projection.p).any() or may_be_late(forced))):
+        return forced
+    late = _with_own_noise(forced, search)
+    late = late if late.interrupted else _beside_all_else(late.with_delay_open(True), search)
+    if late.interrupted:
+        return replace(forced, interrupted=True)
+    if not late.delay.any():
+        return forced
+    again = in_noise(late)
+    if again.interrupted:
+        return replace(forced, interrupted=True)
+    best = min((forced, late, again), key=lambda fit: fit.criteria.bic / fit.projection.rows)
+    gain = forced.criteria.bic * best.projection.rows / forced.projection.rows - best.criteria.bic
+    return forced if best is forced else replace(best, delay_gain=0.5 * gain)
 
 
 def _of_few_lines(fit: FreeFit, whole: FreePath, most: int) -> FreeFit:

@@ -183,7 +183,8 @@ def beside_forces_and_more(forced: FreeFit, fit: FreeFit, search: Search, *, may
 def _in_other_rows(best: FreeFit, fit: FreeFit, late: Lateness, offset: int, search: Search) -> FreeFit | None:
     """Return a fit of the same poles with another delay or drift, beside forces if they remain, if far likelier."""
     p = best.projection.p[~are_slow(best)] if offset > 1 else best.projection.p
-    again = search.assumptions.beside(search.anew(fit)(late, offset, p), orders=Orders())
+    is_open = search.assumptions.delay is None
+    again = search.assumptions.beside(search.anew(fit)(late, offset, p).with_delay_open(is_open), orders=Orders())
     if again.interrupted:
         raise KeyboardInterrupt
     return again if _gain(best, again) > 2 * TUNING.sure else None

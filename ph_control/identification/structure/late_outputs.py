@@ -34,7 +34,9 @@ def under_hold_and_delays(first: Choice, request: Request, with_delay: WithDelay
     late = bool(free.delay.any())
     # without modes no structure shows a delay, but lags tell where within a sample one lies
     delay_open = free.delay_open and (free.order or late) and free.projection.inputs and not free.interrupted
-    if not delay_open or request.function is not None or request.structure == "passive":
+    # in noise that outputs share, or that comes through the plant, delays are known to a sample
+    unrefined = request.function is not None or request.structure == "passive" or free.beside is not None
+    if not delay_open or unrefined:
         return under_either_hold(first, request)
     if late:
         return _refined_under_hold(first, request, lambda choice: _with_own_delays(choice, request, with_delay))
