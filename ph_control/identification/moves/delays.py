@@ -567,7 +567,7 @@ def _are_traces(
 
     With inputs so many samples before and more, from the `first` on; each by itself, and all `together` as well.
     """
-    most, p_values = max(map(abs, TUNING.delays)), []
+    most, p_values = LONGEST_DELAY if together else max(map(abs, TUNING.delays)), []
     for u, remaining in parts:
         seen = ~np.isnan(remaining)
         residuals = np.where(seen, remaining, 0.0)

@@ -451,19 +451,26 @@ def _late_beside_forces(forced: FreeFit, in_noise: InNoise, search: Search) -> F
 
     It is looked for in coloured noise of each output, and stays if that is likelier.
     """
-    is_open = search.assumptions.delay is None and search.automatic and not (forced.interrupted or forced.delay.any())
+    on_time = not (forced.interrupted or forced.delay.any() or forced.input_delay.any())
+    is_open = search.assumptions.delay is None and search.automatic and on_time
     if not (is_open and forced.own_noise and (are_heavy(forced.projection.p).any() or may_be_late(forced))):
         return forced
     late = _with_own_noise(forced, search)
     late = late if late.interrupted else _beside_all_else(late.with_delay_open(True), search)
     if late.interrupted:
         return replace(forced, interrupted=True)
-    if not late.delay.any():
+    if not (late.delay.any() or late.input_delay.any()):
         return forced
-    again = in_noise(late)
-    if again.interrupted:
+    trials = [forced, late, in_noise(late)]
+    if trials[-1].beside is None:  # noise of outputs may have modes that forces do without
+        try:
+            white = search.anew(replace(late, noise=()))(late.lateness, late.offset, forced.projection.p)
+        except KeyboardInterrupt:
+            return replace(forced, interrupted=True)
+        trials.append(in_noise(white))
+    if trials[-1].interrupted:
         return replace(forced, interrupted=True)
-    best = min((forced, late, again), key=lambda fit: fit.criteria.bic / fit.projection.rows)
+    best = min(trials, key=lambda fit: fit.criteria.bic / fit.projection.rows)
     gain = forced.criteria.bic * best.projection.rows / forced.projection.rows - best.criteria.bic
     return forced if best is forced else replace(best, delay_gain=0.5 * gain)
 
