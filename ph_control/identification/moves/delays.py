@@ -46,7 +46,7 @@ _ROUNDS = 4  # of a delay and the poles beside it, each as the other shows it
 _NEAR = 3  # samples, by which a delay may be another for the poles that were found with it
 _LAGS = 6  # of different rates, with which delays are looked for
 _TOGETHER = 64  # outputs of a record, about: products of more of them with one another cost more than they spare
-_TOLD = 1e-2  # of what an input tells at most: at combinations of lags where it has less it tells nothing
+_SHOWN = 1e-2  # of what an input tells at most: at combinations of lags where it has less it tells nothing
 
 # lags that come late
 _SAMPLES = 20_000  # of each record that are looked at
@@ -589,9 +589,9 @@ def _together(scores: Array, spectrum: ComplexArray) -> list[float]:
     if not products[0] > 0:
         return []
     values, vectors = np.linalg.eigh(toeplitz(products / products[0]))
-    told = values > _TOLD * values[-1]
-    squares = np.sum((scores @ vectors[:, told]) ** 2 / values[told], axis=1)
-    return [float(p) for p in chi2.sf(squares, int(told.sum()))]
+    kept = values > _SHOWN * values[-1]
+    squares = np.sum((scores @ vectors[:, kept]) ** 2 / values[kept], axis=1)
+    return [float(p) for p in chi2.sf(squares, int(kept.sum()))]
 
 
 @dataclass(frozen=True)
