@@ -24,63 +24,41 @@ from scipy.signal import lfilter
 
 import ph_control as phc
 
-from .process import peers, squeezed
+from .process import Plant, peers, percent, squeezed
 
 Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
-@dataclass(frozen=True)
-class Plant:
-    """Poles (n,) of imaginary part zero or positive, residues (n, p, m), and samples of dead time."""
+def drawn(rng: np.random.Generator, p: int, m: int) -> Plant:
+    """A plant of one to four sections, told apart by its response."""
+    lags = int(rng.choice([0, 1, 1, 2, 2]))
+    modes = int(rng.choice([0, 0, 1, 2])) if lags else int(rng.choice([1, 2]))
+    times = np.exp(rng.uniform(np.log(4), np.log(120), lags))
+    if lags == 2 and times.max() < 1.5 * times.min():
+        times[1] = 3 * times[0]
+    omega = np.sort(np.exp(rng.uniform(np.log(0.05), np.log(1.5), modes)))
+    if modes == 2 and omega[1] < 1.2 * omega[0]:
+        omega[1] = min(1.6 * omega[0], 2.5)
+    zeta = np.exp(rng.uniform(np.log(0.01), np.log(0.4), modes))
+    poles = np.concatenate([-1 / times + 0j, omega * (-zeta + 1j * np.sqrt(1 - zeta**2))])
+    sizes = np.where(poles.imag > 0, np.sqrt(np.abs(poles.real * poles)), np.abs(poles))
+    sizes = sizes * np.exp(rng.uniform(-0.7, 0.7, len(poles)))
+    phases = np.where(poles.imag > 0, np.exp(1j * rng.uniform(-1, 1, len(poles))), 1.0)
+    residues = rng.standard_normal((len(poles), p, m)) * (sizes * phases)[:, None, None]
+    return Plant(poles, residues, int(rng.choice([0, 0, 0, 2, 7, 20])))
 
-    poles: ComplexArray
-    residues: ComplexArray
-    late: int
 
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, p: int, m: int) -> Plant:
-        """A plant of one to four sections, told apart by its response."""
-        lags = int(rng.choice([0, 1, 1, 2, 2]))
-        modes = int(rng.choice([0, 0, 1, 2])) if lags else int(rng.choice([1, 2]))
-        times = np.exp(rng.uniform(np.log(4), np.log(120), lags))
-        if lags == 2 and times.max() < 1.5 * times.min():
-            times[1] = 3 * times[0]
-        omega = np.sort(np.exp(rng.uniform(np.log(0.05), np.log(1.5), modes)))
-        if modes == 2 and omega[1] < 1.2 * omega[0]:
-            omega[1] = min(1.6 * omega[0], 2.5)
-        zeta = np.exp(rng.uniform(np.log(0.01), np.log(0.4), modes))
-        poles = np.concatenate([-1 / times + 0j, omega * (-zeta + 1j * np.sqrt(1 - zeta**2))])
-        sizes = np.where(poles.imag > 0, np.sqrt(np.abs(poles.real * poles)), np.abs(poles))
-        sizes = sizes * np.exp(rng.uniform(-0.7, 0.7, len(poles)))
-        phases = np.where(poles.imag > 0, np.exp(1j * rng.uniform(-1, 1, len(poles))), 1.0)
-        residues = rng.standard_normal((len(poles), p, m)) * (sizes * phases)[:, None, None]
-        return cls(poles, residues, int(rng.choice([0, 0, 0, 2, 7, 20])))
-
-    @property
-    def of_sample(self) -> tuple[ComplexArray, ComplexArray]:
-        """Poles in z, and residues of held inputs, those of modes for both of their poles."""
-        a = np.exp(self.poles)
-        twice = np.where(self.poles.imag > 0, 2.0, 1.0)
-        return a, self.residues * ((a - 1) / self.poles * twice)[:, None, None]
-
-    def outputs(self, u: Array) -> Array:
-        """Outputs (p, T) of held inputs (m, T), from rest."""
-        u = np.concatenate([np.zeros((len(u), self.late)), u[:, : u.shape[1] - self.late]], axis=1)
-        states = [lfilter([0, 1], [1, -a], u.astype(complex), axis=1) for a in self.of_sample[0]]
-        return np.asarray(np.einsum("npm,nmt->pt", self.of_sample[1], np.array(states)).real)
-
-    def in_loop(self, reference: Array, noise: Array) -> tuple[Array, Array]:
-        """Input and output without noise (1, T) of a loop with a gain that is a third of that of the plant inverted."""
-        a, residues = self.of_sample
-        b = residues[:, 0, 0]
-        gain = -0.3 / float(np.sum(b / (1 - a)).real)
-        u, x, states = np.zeros(reference.shape), np.zeros(reference.shape), np.zeros(len(a), complex)
-        for k in range(reference.shape[1]):
-            x[0, k] = float(np.sum(b * states).real)
-            u[0, k] = reference[0, k] + np.clip(gain * (x[0, k] + noise[0, k]), -3, 3)
-            states = a * states + (u[0, k - self.late] if k >= self.late else 0.0)
-        return u, x
+def in_loop(plant: Plant, reference: Array, noise: Array) -> tuple[Array, Array]:
+    """Input and output without noise (1, T) of a loop with a gain that is a third of that of the plant inverted."""
+    a = np.exp(plant.poles)
+    b = plant.residues[:, 0, 0] * (a - 1) / plant.poles * np.where(plant.poles.imag > 0, 2.0, 1.0)
+    gain = -0.3 / float(np.sum(b / (1 - a)).real)
+    u, x, states = np.zeros(reference.shape), np.zeros(reference.shape), np.zeros(len(a), complex)
+    for k in range(reference.shape[1]):
+        x[0, k] = float(np.sum(b * states).real)
+        u[0, k] = reference[0, k] + np.clip(gain * (x[0, k] + noise[0, k]), -3, 3)
+        states = a * states + (u[0, k - plant.late] if k >= plant.late else 0.0)
+    return u, x
 
 
 def inputs_of(rng: np.random.Generator, m: int, samples: int) -> tuple[str, Array]:
@@ -108,7 +86,7 @@ def noise_of(rng: np.random.Generator, plant: Plant, samples: int) -> tuple[str,
     elif kind == "walk":
         noise = rng.standard_normal(white.shape) + 0.05 * np.cumsum(white, axis=1)
     elif kind == "load":
-        load = plant.outputs(rng.standard_normal((m, samples)))
+        load = plant.outputs(rng.standard_normal((m, samples)), 1.0)
         noise = load / np.std(load, axis=1, keepdims=True) + 0.2 * white
     return kind, np.asarray(noise / np.std(noise, axis=1, keepdims=True))
 
@@ -128,24 +106,23 @@ class Case:
         """The case of a seed."""
         rng = np.random.default_rng([seed, 77])
         samples, m, p = (int(rng.choice(each)) for each in ([800, 1500, 3000], [1, 1, 1, 2, 3, 5], [1, 1, 1, 2]))
-        plant = Plant.drawn(rng, p, m)
+        plant = drawn(rng, p, m)
         driven, u = inputs_of(rng, m, samples)
         kind, noise = noise_of(rng, plant, samples)
         share = float(np.exp(rng.uniform(np.log(0.05), 0.0)))
-        x = plant.outputs(u)
+        x = plant.outputs(u, 1.0)
         noise = noise * share * np.std(x, axis=1, keepdims=True)
-        in_loop = bool(m == p == 1 and rng.random() < 0.2)
-        if in_loop:
-            u, x = plant.in_loop(u, noise)
+        closed = bool(m == p == 1 and rng.random() < 0.2)
+        if closed:
+            u, x = in_loop(plant, u, noise)
         level = float(rng.choice([0.0, 2.0])) * np.std(x) * rng.standard_normal((p, 1))
         words = f"{p} x {m}, {samples} samples, {driven} inputs, {kind} of {100 * share:.0f} %, {plant.late} late"
-        return cls(plant, u, x + noise + level, x, words + ", closed loop" * in_loop)
+        return cls(plant, u, x + noise + level, x, words + ", closed loop" * closed)
 
 
-def percent(x: Array, predicted: Array) -> float:
-    """Fit in percent beside any constants."""
-    x, predicted = (each - each.mean(axis=1, keepdims=True) for each in (x, predicted))
-    return 100 * (1 - float(np.linalg.norm(x - predicted) / np.linalg.norm(x)))
+def beside_constants(x: Array, predicted: Array) -> float:
+    """Fit in percent, whatever constants outputs have."""
+    return percent(x, predicted + np.mean(x - predicted, axis=1, keepdims=True))
 
 
 def best_of_others(case: Case) -> tuple[float, str]:
@@ -154,7 +131,7 @@ def best_of_others(case: Case) -> tuple[float, str]:
     u, y = (each - each[:, :half].mean(axis=1, keepdims=True) for each in (case.u, case.y))
     with np.errstate(all="ignore"):
         models = peers(u[:, :half], y[:, :half])
-        fits = {name: percent(case.x[:, half:], model(u, case.x)[:, half:]) for name, model in models.items()}
+        fits = {name: beside_constants(case.x[:, half:], model(u, case.x)[:, half:]) for name, model in models.items()}
     name = max(fits, key=lambda key: fits[key] if np.isfinite(fits[key]) else -np.inf)
     return fits[name], name
 
@@ -177,7 +154,7 @@ def main() -> None:
         spent = process_time() - start
         u = case.u[0] if len(case.u) == len(case.y) == 1 else case.u
         predicted = np.reshape(result.predict(u, initial_state="zero", dt=1.0).outputs, case.y.shape)
-        fits.append(percent(case.x[:, half:], predicted[:, half:]))
+        fits.append(beside_constants(case.x[:, half:], predicted[:, half:]))
         right += len(result.poles) == len(plant.poles)
         seconds += spent
         line = f"{seed:4d} {fits[-1]:7.1f} {len(plant.poles)} {len(result.poles)} {result.bic:10.1f} {spent:5.1f} s"

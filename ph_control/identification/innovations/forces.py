@@ -319,8 +319,13 @@ def _each_wandering(white: LikelihoodEvaluation, rate: float, part: float) -> In
     """The model with a lag for each output, of whose errors a part is foretold by past ones."""
     noise = white.point.noise
     for size, along in zip(np.sqrt(np.diag(white.covariance)), np.eye(white.p), strict=True):
-        noise = noise.with_lag(rate / noise.step, size * along, part * np.exp(-rate) / size * along)
+        noise = _before(noise, rate, part, size, along)
     return replace(white.point, noise=noise)
+
+
+def _before(noise: NoiseSections, rate: float, part: float, size: float, along: Array) -> NoiseSections:
+    """The noise with a lag more before innovations of some size along a direction, of a rate for each sample."""
+    return noise.with_lag(rate / noise.step, size * along, part * np.exp(-rate) / size * along)
 
 
 def _slow(foretold: _Predictors) -> Mask:
@@ -346,10 +351,8 @@ def _promises_lag(evaluation: LikelihoodEvaluation, limit: float) -> bool:
 
 def _lag_before(evaluation: LikelihoodEvaluation, rate: float, part: float) -> InnovationsModel:
     """The model with a lag more before the strongest innovations, of which past errors foretell a part."""
-    noise = evaluation.point.noise
     values, vectors = np.linalg.eigh(evaluation.covariance)
-    size, shape = np.sqrt(values[-1]), vectors[:, -1]
-    lag = noise.with_lag(rate / noise.step, size * shape, part * np.exp(-rate) / size * shape)
+    lag = _before(evaluation.point.noise, rate, part, np.sqrt(values[-1]), vectors[:, -1])
     return replace(evaluation.point, noise=lag)
 
 
@@ -834,7 +837,7 @@ def _finding(free: FreeFit, noise: FittedNoise, evaluation: LikelihoodEvaluation
     if noise.sections.apart:
         seen = noise.sections.C**2 / np.diag(noise.covariance)[:, None]
         alone = [label for label, of_it in zip(labels, seen, strict=True) if np.all(of_it > _MOST * seen.sum(axis=0))]
-        return Finding(Cause.SLOW_NOISE, tuple(noise.sections.lags.tolist()), gain, "".join(alone))
+        return Finding(Cause.SLOW_NOISE, tuple(noise.sections.lags.tolist()), gain, next(iter(alone), ""))
     if noise.is_coloured:
         squares, noises = np.zeros((2, len(labels)))
         for experiment, disturbance in zip(evaluation.problem.experiments, evaluation.disturbances, strict=True):

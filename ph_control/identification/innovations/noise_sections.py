@@ -339,28 +339,31 @@ class NoiseSections:
         basis = _first_order(half / w)[:, order]
         rate, lag = (decay + np.array([-half, half]))[order]
         others = np.delete(np.arange(2 * k), both)
-        C = np.column_stack([self.C[:, others], self.C[:, both] @ basis, self.C[:, 2 * k :]])
-        K = np.concatenate([self.K[others], np.linalg.solve(basis, self.K[both]), self.K[2 * k :]])
-        x, references = np.delete(sections.x, [section, k + section]), np.delete(self.references, section)
-        if not len(sections.rates):
-            x = np.append(x, rate)
-            lags = np.insert(self.lags, 0, lag)
-            return replace(
-                self, sections=Sections.from_coordinates(x), C=C, K=K, lags=lags, references=references
-            )  # fmt: skip
-        # states are now the other sections, the driven one, the lag, the first-order section that was, and other lags
-        first, second = sorted(([rate, 2 * k - 2], [sections.rates[0], 2 * k]))
-        half = max(0.5 * (second[0] - first[0]), _HALF_APART * first[0])
-        pair, basis = [int(first[1]), int(second[1])], _first_order(1.0)
-        rest = np.delete(np.arange(self.states), [*range(2 * k - 2), *pair])
-        kept = np.arange(2 * k - 2)
-        C = np.column_stack([C[:, kept], np.linalg.solve(basis.T, C[:, pair].T).T, C[:, rest]])
-        K = np.concatenate([K[kept], basis @ K[pair], K[rest]])
-        decay = 0.5 * (first[0] + second[0])
-        x = np.concatenate([np.append(x[: k - 1], decay), np.append(x[k - 1 : -1], decay**2 - half**2)])
+        apart = replace(
+            self, C=np.column_stack([self.C[:, others], self.C[:, both] @ basis, self.C[:, 2 * k :]]),
+            K=np.concatenate([self.K[others], np.linalg.solve(basis, self.K[both]), self.K[2 * k :]]),
+            references=np.delete(self.references, section), lags=np.insert(self.lags, 0, lag),
+        )  # fmt: skip
+        x = np.append(np.delete(sections.x, [section, k + section]), rate)
+        if len(sections.rates):
+            return apart._paired(x)
+        return replace(apart, sections=Sections.from_coordinates(x))
+
+    def _paired(self, x: Array) -> NoiseSections:
+        """The model with a section of the last two of some coordinates, which are rates.
+
+        States are those of k - 1 other sections, of the second rate, of a lag, and of the first rate, then other lags.
+        """
+        k = (len(x) - 2) // 2
+        first, second = sorted([(x[-1], 2 * k), (x[-2], 2 * k + 2)])
+        decay, half = 0.5 * (first[0] + second[0]), max(0.5 * (second[0] - first[0]), _HALF_APART * first[0])
+        pair, basis = [first[1], second[1]], _first_order(1.0)
+        kept, rest = np.arange(2 * k), [2 * k + 1, *range(2 * k + 3, self.states)]
+        x = np.concatenate([x[:k], [decay], x[k : 2 * k], [decay**2 - half**2]])
         return replace(
-            self, sections=Sections.from_coordinates(x), C=C, K=K, lags=np.insert(self.lags, 0, lag),
-            references=np.append(references, half),
+            self, sections=Sections.from_coordinates(x), references=np.append(self.references, half),
+            C=np.column_stack([self.C[:, kept], np.linalg.solve(basis.T, self.C[:, pair].T).T, self.C[:, rest]]),
+            K=np.concatenate([self.K[kept], basis @ self.K[pair], self.K[rest]]),
         )  # fmt: skip
 
 

@@ -56,13 +56,13 @@ def wandering(products: Array, shortest: int) -> Iterator[tuple[Array, float]]:
         g = np.asarray(c ** np.arange(length + 1), float)
         h = np.concatenate([np.zeros(1), g[:-1]])
         # squares of what `g - a h` leaves
-        squares, crossed, shifted = (_left(products, x, y) for x, y in ((g, g), (g, h), (h, h)))
+        squares, crossed, shifted = (_filtered_products(products, x, y) for x, y in ((g, g), (g, h), (h, h)))
         a = min(crossed / shifted, slowest)
         if a > c:
             yield g - a * h, float((squares - 2 * a * crossed + a**2 * shifted) / products[0])
 
 
-def _left(products: Array, x: Array, y: Array) -> float:
+def _filtered_products(products: Array, x: Array, y: Array) -> float:
     """Sum of products of residuals through two filters."""
     lags = np.abs(np.arange(1 - len(x), len(x)))
     return float(np.correlate(x, y, "full") @ products[lags])
