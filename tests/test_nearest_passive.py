@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from passive_programs import KINDS, program, random_system
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.optimize import minimize
+from scipy.signal import lfilter
 from slow import slowly
 
 import ph_control as phc
@@ -301,3 +302,18 @@ def test_a_lossless_fit_is_its_own_nearest_passive_model(several):
     np.testing.assert_allclose(model.horner(s), fit.system.horner(s), rtol=1e-12)
     with pytest.raises(phc.StructureError, match="pole on the imaginary axis"):
         phc.nearest_passive(fit, kind="scattering")
+
+
+@pytest.mark.parametrize("seed", [12, 119])
+def test_a_mode_near_critical_damping_whose_nearest_passive_poles_meet(seed):
+    """Residues of poles that meet have no slopes."""
+    rng = np.random.default_rng(seed)
+    u, k = lfilter([1], [1, -0.9], rng.standard_normal(400)), np.arange(400)
+    w, zeta = rng.uniform(0.05, 0.2), rng.uniform(0.9, 0.999)
+    pole = w * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    response = np.real(np.exp(pole * k) * np.exp(1j * rng.uniform(0, 6.28)))
+    y = np.convolve(response, np.append(0.0, u))[:400]
+    y = y / y.std() + rng.uniform(0.1, 2) * rng.standard_normal(400)
+    result = phc.pem((u, y), 1, dt=1.0)
+    passive = next(test for test in result.tests if test.hypothesis == "passive")
+    assert np.isfinite(result.poles).all() and 0 <= passive.p <= 1

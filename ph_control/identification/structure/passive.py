@@ -33,6 +33,7 @@ _AGREES = 0.01  # of the squared distance: so near to it is the cost, that the m
 _FAR = 1e3  # squared distance in standard errors beyond which there is no need for digits
 _SETTLED = 1e-3  # change of the squared distance in standard errors, at the last
 _SHOWN = 1e-2  # of the largest eigenvalue of the correlations of active constraints: below, two are one
+_MEET = 1e-6  # of a pole: its imaginary part where the two of a mode are taken to meet
 
 # worst frequencies
 _ABOUT = 57  # points about each pole
@@ -287,6 +288,8 @@ def nearest_passive(
         predicted, cost = minimum.distance, (data.loss - projection.loss) / variance
         if not minimum.active or predicted > _FAR or abs(predicted - cost) < _AGREES * (1 + predicted):
             break
+        if np.any((data.p.imag != 0) & (np.abs(data.p.imag) < _MEET * np.abs(data.p))):
+            break  # where poles of a mode meet its residues have no slopes
         C = data.covariance(variance)
         centre = theta - C @ _gradient(data) / variance
     return best
