@@ -1,5 +1,7 @@
 """The likelihood of prediction errors against the Kalman filter of the same plant, and its gradient."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from ambient_plant import ambient, sampled
@@ -10,7 +12,13 @@ from scipy.stats import chi2
 import ph_control as phc
 from ph_control.identification.innovations import forces
 from ph_control.identification.innovations.joint import with_estimated_noise
-from ph_control.identification.innovations.minimum import Experiment, InnovationsModel, Problem, minimise
+from ph_control.identification.innovations.minimum import (
+    Experiment,
+    InnovationsModel,
+    LikelihoodEvaluation,
+    Problem,
+    minimise,
+)
 from ph_control.identification.innovations.noise_sections import NoiseSections
 from ph_control.identification.innovations.set_ups import SetUpsProblem
 from ph_control.identification.innovations.subspace import in_sections
@@ -290,3 +298,44 @@ def test_noise_through_lags_alone_has_no_state_of_the_plant():
     np.testing.assert_allclose(
         np.ravel(noise.outputs_of_states(z) @ noise.K), 0.6 / (z - np.exp(-0.05)), rtol=1e-12
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("through_plant", [False, True])
+def test_prediction_errors_beside_inputs_are_those_of_a_filter_whose_lags_begin_anywhere(through_plant, monkeypatch):
+    """A sensor that wanders ends elsewhere than it began, which a record that repeats would show as a jump."""
+    seen = []
+
+    def keep(evaluation, covariance):
+        seen.append(evaluation)
+        return with_estimated_noise(evaluation, covariance)
+
+    monkeypatch.setattr("ph_control.identification.innovations.joint.with_estimated_noise", keep)
+    rng = np.random.default_rng(1)
+    u, forces = rng.standard_normal((1, 600)), 2.0 * through_plant * rng.standard_normal(600)
+    a = np.poly(0.9 * np.exp([0.6j, -0.6j])).real if through_plant else [1, -0.9]
+    y = lfilter([0, 0.1], a, u[0] + forces)
+    y += 0.1 * rng.standard_normal(600) + 0.03 * (1 + 2 * through_plant) * np.cumsum(rng.standard_normal(600))
+    numbers = {"order": int(through_plant), "real_poles": int(not through_plant)}
+    phc.pem((u, y[None]), dt=1.0, delay=0, quantity="free", intersample="zoh", offset=True, **numbers)
+    evaluation = seen[-1]
+    problem, point = evaluation.problem, evaluation.point
+    noise = point.noise
+    assert len(noise.lags) == 1 and noise.apart != through_plant and point.states[0][0] != 0
+    known = problem.point(problem.vector(point), point)
+    steady = LikelihoodEvaluation(problem, replace(known, states=()))  # as if the lags ended where they began
+    disturbance = np.fft.irfft(steady.disturbances[0], 600) * np.sqrt(600)
+    ways = [
+        filtered(disturbance, noise.A, noise.C, noise.K, x)[0][0]
+        for x in (np.zeros(noise.states), *np.eye(noise.states))
+    ]
+    columns = np.array([way - ways[0] for way in ways[1:]]).T
+    first = np.linalg.lstsq(columns, -ways[0], rcond=None)[0]
+    errors = np.fft.irfft(evaluation.errors[0], 600)[0] * np.sqrt(600)
+    np.testing.assert_allclose(errors, ways[0] + columns @ first, atol=1e-3 * np.std(errors))
+    elsewhere = problem.point(
+        problem.vector(point) * (1 + 0.05 * rng.standard_normal(len(problem.vector(point)))), point
+    )
+    expected = slopes_by_differences(problem, elsewhere)
+    np.testing.assert_allclose(
+        problem.evaluated(elsewhere).normal[1], expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max()
+    )

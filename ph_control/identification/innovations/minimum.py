@@ -119,8 +119,8 @@ class Experiment:
 class InnovationsModel:
     """A model: noise, numbers `shared` (width, p) by all experiments, and those of each of these.
 
-    `own` are those of each part of rows, (unknowns, its outputs); `states` the motions of the predictor at the start,
-    (N,) of each experiment, where there are no rows.
+    `own` are those of each part of rows, (unknowns, its outputs); `states` the motions of the predictor at the start of
+    each experiment: (N,), or those of lags alone (l,) where free motions of rows are those of the plant.
     """
 
     noise: NoiseSections
@@ -134,9 +134,9 @@ class InnovationsModel:
         return self.noise.sections.p
 
 
-def _beginning(state: Array, z: ComplexArray, samples: int) -> ComplexArray:
-    """What a state at the first sample adds to what drives the states, (N, bins)."""
-    return np.asarray(state[:, None] * (z / np.sqrt(samples)))
+def _beginning(state: Array, count: int, z: ComplexArray, samples: int) -> ComplexArray:
+    """What the last of so many states add at the first sample to what drives these, (count, bins)."""
+    return np.concatenate([np.zeros(count - len(state)), state])[:, None] * (z / np.sqrt(samples))
 
 
 def pieces(count: int, size: int, stride: int = 1) -> Iterator[slice]:
@@ -174,6 +174,9 @@ class Problem:
 
     def evaluated(self, point: InnovationsModel) -> LikelihoodEvaluation:
         """The prediction errors of a model."""
+        lags = len(point.noise.lags) if self.coloured else 0
+        if self.rows and [len(state) for state in point.states] != [lags] * len(self.experiments):
+            point = replace(point, states=tuple(np.zeros(lags) for _ in self.experiments))
         return LikelihoodEvaluation(self, point)
 
     def that_forgets(self, point: InnovationsModel, like: LikelihoodEvaluation) -> InnovationsModel:
@@ -274,20 +277,22 @@ class LikelihoodEvaluation:
             for part in parts:
                 shared = self.point.shared[np.ix_(input_places(part.rows, len(self.point.poles)), part.rows.outputs)]
                 V[part.rows.outputs] -= np.concatenate([next(own), shared]).T @ part.columns
-            if not parts and self.point.states:
+            if self.point.states:
                 V -= self._motion(experiment, next(states))
             noises.append(V)
         return noises
 
     def _motion(self, experiment: Experiment, state: Array) -> ComplexArray:
         noise = self.point.noise
-        return np.asarray(noise.C @ noise.resolve(experiment.z, _beginning(state, experiment.z, experiment.samples)))
+        beginning = _beginning(state, noise.states, experiment.z, experiment.samples)
+        return np.asarray(noise.C @ noise.resolve(experiment.z, beginning))
 
     def _states(self, place: int, z: ComplexArray, e: ComplexArray) -> ComplexArray:
         """States (N, bins) of an experiment that its errors, and where it began, make."""
         driving = np.asarray(self.point.noise.K @ e)
         if self.point.states:
-            driving = driving + _beginning(self.point.states[place], z, self.problem.experiments[place].samples)
+            samples = self.problem.experiments[place].samples
+            driving = driving + _beginning(self.point.states[place], len(driving), z, samples)
         return self.point.noise.resolve(z, driving)
 
     @cached_property
@@ -305,8 +310,12 @@ class LikelihoodEvaluation:
 
     @property
     def unknowns(self) -> int:
-        """Numbers that move, less those of bases, and of the covariance."""
-        return len(self.problem.vector(self.point)) - self.bases.shape[1] + self.p * (self.p + 1) // 2
+        """Numbers that move, less those of bases, and of the covariance.
+
+        Where lags began is no number of the model: it is noise of before.
+        """
+        lags = sum(map(len, self.point.states)) if self.problem.rows else 0
+        return len(self.problem.vector(self.point)) - lags - self.bases.shape[1] + self.p * (self.p + 1) // 2
 
     @property
     def values(self) -> int:
@@ -484,11 +493,11 @@ class LikelihoodEvaluation:
             J[:, :, column : column + N * self.p] = -of_K.reshape(len(z), self.p, -1)
             column += N * self.p
         self._fill_driven(J, place, bins, W, column)
-        if not self.parts[place] and self.point.states:
-            first = J.shape[2] - (len(problem.experiments) - place) * noise.states
+        if self.point.states and seen is not None:
+            count = len(self.point.states[place])
+            first = J.shape[2] - (len(problem.experiments) - place) * count
             start = z / np.sqrt(problem.experiments[place].samples)
-            if seen is not None:
-                J[:, :, first : first + noise.states] = -through * start[:, None, None]
+            J[:, :, first : first + count] = -through[:, :, noise.states - count :] * start[:, None, None]
 
     def slopes_of_mean(self, place: int, bins: slice) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Whitened derivatives (bins, p, P) of the outputs' mean by all numbers, what whitens, and the states seen."""

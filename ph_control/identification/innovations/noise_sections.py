@@ -275,8 +275,8 @@ class NoiseSections:
     def bases(self, real_shapes: bool = False, starts: Sequence[Array] = ()) -> Array:
         """Directions in `(C, K, *starts)` that change the bases of the states alone, orthonormal columns.
 
-        `starts` are states (N,) of records.  There are N directions; where outputs see the first state of each mode
-        alone, one fewer for each mode.
+        `starts` are states (N,) of records, or the last of them.  There are N directions; where outputs see the first
+        state of each mode alone, one fewer for each mode.
         """
         directions = []
         for first, block in self._commuting(real_shapes):
@@ -284,11 +284,12 @@ class NoiseSections:
             C, K = np.zeros(self.C.shape), np.zeros(self.K.shape)
             C[:, place], K[place] = self.C[:, place] @ block, -block @ self.K[place]
             moved = np.zeros((len(starts), self.states))
+            missing = self.states - (len(starts[0]) if len(starts) else 0)
             for row, start in zip(moved, starts, strict=True):
-                row[place] = -block @ start[place]
-            directions.append(np.concatenate([C.ravel(), K.ravel(), moved.ravel()]))
+                row[place] = -block @ np.concatenate([np.zeros(missing), start])[place]
+            directions.append(np.concatenate([C.ravel(), K.ravel(), moved[:, missing:].ravel()]))
         if not directions:
-            return np.zeros((self.C.size + self.K.size + len(starts) * self.states, 0))
+            return np.zeros((self.C.size + self.K.size + sum(map(len, starts)), 0))
         return np.asarray(np.linalg.qr(np.array(directions).T)[0])
 
     def _commuting(self, real_shapes: bool) -> Iterator[tuple[int, Array]]:
