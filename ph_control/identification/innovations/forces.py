@@ -175,14 +175,16 @@ def _beside_forces(
     if "forces" in kinds:
         begun = _like(like, free, rows)
         hints = certain or _hints_at_forces(foretold, alone, best.evaluation if best else white)
-        forced = _forced(start, foretold, white, certain, begun) if hints else _through_lags_alone(foretold, True)
+        among = None if certain else white
+        forced = _forced(start, foretold, among, begun) if hints else _through_lags_alone(foretold, True)
         if forced is not None and (certain or _shows_forces(free, rows, forced, best)):
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
         return free
     best = _with_likeliest_samples(best)
     among = None if _margin(best, free) else white
-    likelier, filters = _own_noise(best.evaluation, among, certain)
+    excess, filters = (np.inf, ()) if certain else _own_noise(best.evaluation, among)
+    likelier = excess <= 0
     # where the number of modes is open, those that inputs drive beside forces may still be the likeliest
     kept = not likelier or (orders.are_open and best.evaluation.problem.coloured and not _doubtful(best))
     fitted = _in_noise(free, best, alone, certain) if kept else free
@@ -227,14 +229,13 @@ def _without_gain(begin: Start) -> Start:
 
 
 def _forced(
-    start: Start | None, foretold: _Predictors, white: LikelihoodEvaluation | None, certain: bool, begun: Start | None
+    start: Start | None, foretold: _Predictors, white: LikelihoodEvaluation | None, begun: Start | None
 ) -> Minimum | None:  # fmt: skip
     """The minimum beside forces: with the same modes, or with those that the BIC prefers of so many.
 
     In white noise modes more than there are stand for what forces do, and weak ones are hidden by it: so the search
-    begins with the poles of predictors as well.  None where there is nothing to begin with.  Where noise of each output
-    is likelier than white forces, those of other spectra are not looked for, unless forces are `certain`.  One of the
-    starts may have `begun` beside forces.
+    begins with the poles of predictors as well.  None where there is nothing to begin with.  One of the starts may have
+    `begun` beside forces.
     """
     given = [None if start is None else _damped(foretold, start), *foretold.starts, begun]
     ends = [followed(*begin, _ROUGH, _FEW) for begin in given if begin is not None]
@@ -242,29 +243,29 @@ def _forced(
         return None
     best = min(ends, key=lambda end: end.evaluation.bic)
     best = followed(best.evaluation.problem, best.evaluation.point, steps=_STEPS)
-    lags = 0 if _own_noise(best.evaluation, white, certain)[0] else _LAGS
-    best = _of_likelier_sections(_with_lags(best, lags), lags, foretold.orders)
+    excess = 0.0 if white is None else _own_noise(best.evaluation, white)[0]
+    best = _of_likelier_sections(_with_lags(best, best.evaluation.bic + min(excess, 0.0)), foretold.orders)
     wandering = _through_lags_alone(foretold, limit=best.evaluation.bic)
     if wandering is None or wandering.evaluation.bic + _margin(wandering, foretold.free) >= best.evaluation.bic:
         return best
-    return _of_likelier_sections(wandering, _LAGS, foretold.orders)
+    return _of_likelier_sections(wandering, foretold.orders)
 
 
-def _of_likelier_sections(best: Minimum, lags: int, orders: Orders) -> Minimum:
+def _of_likelier_sections(best: Minimum, orders: Orders) -> Minimum:
     """The minimum without modes or real poles that stood for noise, where the orders are open."""
     if not orders.are_open:
         return best
-    best = _of_fewer_modes(best, lags)
-    return _of_undriven_lags(best) if lags and orders.real_poles is None else best
+    best = _of_fewer_modes(best)
+    return _of_undriven_lags(best) if orders.real_poles is None else best
 
 
-def _with_lags(best: Minimum, most: int, limit: float = np.inf) -> Minimum:
+def _with_lags(best: Minimum, limit: float = np.inf) -> Minimum:
     """The minimum with lags that noise alone comes through, as long as the BIC falls: forces need not be white.
 
     None is looked for where the BIC is not likely to fall below some `limit`.
     """
     problem = best.evaluation.problem
-    while len(best.evaluation.point.noise.lags) < most and _promises_lag(best.evaluation, limit):
+    while len(best.evaluation.point.noise.lags) < _LAGS and _promises_lag(best.evaluation, limit):
         starts = (_lag_before(best.evaluation, rate, part) for rate, part in _COLOURS)
         end = min((followed(problem, start, _ROUGH, _FEW) for start in starts), key=lambda end: end.evaluation.bic)
         end = followed(problem, end.evaluation.point, steps=_STEPS)
@@ -292,10 +293,11 @@ def _through_lags_alone(foretold: _Predictors, hidden: bool = False, limit: floa
         problem, point = start
         outputs = len(point.noise.C)
         noise = replace(point.noise, C=np.zeros((outputs, 0)), K=np.zeros((0, outputs)), apart=True)
-        white = followed(problem, replace(point, noise=noise), _ROUGH, _FEW)
+        # not moved: in white noise the poles that are kept become slow ones
+        white = Minimum(problem.evaluated(replace(point, noise=noise)), converged=False, steps=0)
         if not _promises_lag(white.evaluation, limit):
             continue
-        ends.append(_with_lags(white, _LAGS, limit))
+        ends.append(_with_lags(white, limit))
         if 1 < outputs <= _LAGS:
             starts = [_each_wandering(white.evaluation, rate, part) for rate, part in _COLOURS]
             ends += [followed(problem, start, _ROUGH, _FEW) for start in starts]
@@ -452,16 +454,12 @@ def _shows_forces(free: FreeFit, rows: Sequence[FreeRecord], forced: Minimum, sh
     return gain > charge + 2 * _SURE and _is_likelier(white, forced.evaluation.cost, more)
 
 
-def _own_noise(
-    best: LikelihoodEvaluation, white: LikelihoodEvaluation | None, certain: bool
-) -> tuple[bool, tuple[Array, ...]]:  # fmt: skip
-    """Whether autoregressive noise of each output is likelier by the BIC, and its innovations filters.
+def _own_noise(best: LikelihoodEvaluation, white: LikelihoodEvaluation | None) -> tuple[float, tuple[Array, ...]]:
+    """By how much the BIC is larger in autoregressive noise of each output, and the innovations filters of that.
 
     It is the noise that a plant fitted in white noise leaves, or one fitted beside forces.  No filters where it is so
-    much less likely that other poles make no difference, or forces are `certain`.
+    much less likely that other poles make no difference.
     """
-    if certain:
-        return False, ()
     problem, noise, p = best.problem, best.point.noise, best.p
     charge = float(np.log(problem.samples * p))
     unknowns = p * (p - 1) // 2 + (noise.unknowns if problem.coloured else 0)
@@ -469,7 +467,7 @@ def _own_noise(
         (_autoregressions(each, charge) for each in (white, best) if each is not None), key=lambda pair: pair[0]
     )
     excess = cost - best.cost - unknowns * charge
-    return excess <= 0, filters if excess <= _FAR * problem.samples * p else ()
+    return excess, filters if excess <= _FAR * problem.samples * p else ()
 
 
 def _autoregressions(evaluation: LikelihoodEvaluation, charge: float) -> tuple[float, tuple[Array, ...]]:
@@ -492,7 +490,7 @@ def _autoregressions(evaluation: LikelihoodEvaluation, charge: float) -> tuple[f
     return cost, tuple(filters)
 
 
-def _of_fewer_modes(best: Minimum, lags: int) -> Minimum:
+def _of_fewer_modes(best: Minimum) -> Minimum:
     """The minimum without modes that stood for the noise, as long as the BIC falls."""
     while len(best.evaluation.point.noise.sections.x) > 2:
         fewer = [_without(best, k) for k in _doubtful(best)]
@@ -500,7 +498,7 @@ def _of_fewer_modes(best: Minimum, lags: int) -> Minimum:
             break
         nearly = min(fewer, key=lambda minimum: minimum.evaluation.bic).evaluation
         likeliest = followed(nearly.problem, nearly.point, steps=_STEPS)
-        likeliest = _with_lags(likeliest, lags, best.evaluation.bic)
+        likeliest = _with_lags(likeliest, best.evaluation.bic)
         if likeliest.evaluation.bic >= best.evaluation.bic:
             break
         best = likeliest
@@ -745,8 +743,9 @@ def initial_noise(projection: FreeProjection, step: float) -> NoiseSections:
 def _alone(free: FreeFit, rows: Sequence[FreeRecord], white: LikelihoodEvaluation | None) -> float:
     """Twice the negative log-likelihood of noise of each output alone, in the units of the rows."""
     if free.noise or white is None:
-        samples = _samples(rows) // len(free.scales)
-        return -2 * (free.criteria.loglik + samples * float(np.sum(np.log(free.scales))))
+        samples = _samples(rows)
+        share = samples / free.projection.rows  # the first samples begin the filters of coloured noise
+        return -2 * (free.criteria.loglik * share + samples * float(np.mean(np.log(free.scales))))
     return float(white.problem.samples * np.sum(np.log(np.diag(white.covariance)) + 1 + np.log(2 * np.pi)))
 
 
@@ -818,7 +817,8 @@ def _in_noise(free: FreeFit, best: Minimum, alone: float, certain: bool) -> Free
     floors = np.maximum(1.0, ROUNDED * projection.rounded / (samples * np.diag(evaluation.covariance)))
     loglik = -0.5 * evaluation.cost - samples * float(np.sum(np.log(free.scales * np.sqrt(floors))))
     criteria = Criteria.of(loglik, unknowns + p, float(samples * p))
-    if not certain and free.criteria.bic <= criteria.bic + _margin(best, free) and (free.noise or noise.is_coloured):
+    gain = free.criteria.bic * projection.rows / free.projection.rows - criteria.bic
+    if not certain and gain <= _margin(best, free) and (free.noise or noise.is_coloured):
         return free
     finding = _finding(free, noise, evaluation, 0.5 * (alone - evaluation.cost))
     of_noise = (
