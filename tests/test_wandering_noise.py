@@ -62,6 +62,20 @@ def test_a_plant_is_found_late_beside_a_sensor_that_wanders(seed):
     np.testing.assert_allclose(np.sort_complex(result.poles), [-0.04 + 1.3j, -0.03], atol=0.01)
 
 
+@pytest.mark.parametrize("seed", [9, 10, *slowly(0, 3, 12)])
+@pytest.mark.parametrize("drifts", [False, True])
+def test_a_sensor_that_wanders_does_not_drift(drifts, seed):
+    """A line explains much of a random walk where its end is taken for a jump back to its beginning."""
+    rng = np.random.default_rng([seed, 44])
+    u = np.repeat(rng.choice([-1.0, 1.0], (1, 200)), 5, axis=1)
+    x = through(u, [-0.05], [[[0.05]]])
+    noise = rng.standard_normal(x.shape) + np.linspace(0, 3, 1000) if drifts else random_walk(rng, x.shape, 0.05)
+    result = phc.pem((u[0], (x + 0.3 * x.std() * noise)[0]), dt=1.0, **KNOWN)
+    causes = {finding.cause.name for finding in result.findings}
+    assert (result.order, len(result.real_poles)) == (0, 1)
+    assert ("DRIFT" in causes, "SLOW_NOISE" in causes) == (drifts, not drifts)
+
+
 @pytest.mark.parametrize("seed", [2, *slowly(0, 3)])
 def test_what_grows_at_the_end_of_noise_that_wanders_is_no_pole(seed):
     """A free motion that grows fits the end of a record, and nothing that follows."""

@@ -192,16 +192,16 @@ def _beside_motion(
     least = 2 * TUNING.likely * pushed
     if not len(p):
         free = moving()
-        return Searched(channels, free, True) if _gain(free, still.free) > least else still
+        return Searched(channels, free, True) if free.gain_over(still.free) > least else still
     other = free_refinement(channels, still.free, p, moving=True, **assumptions)
     if other.interrupted:
         return still.cut
     # beside a drift an integrator does not rest; what leaves rounding alone needs no noise
     drifts = pushed and still.free.offset > 1 and p.real.max() >= 0
-    if _gain(other, still.free) <= least and not drifts and other.rounding <= still.free.rounding:
+    if other.gain_over(still.free) <= least and not drifts and other.rounding <= still.free.rounding:
         return still
     free = moving()
-    if not (free.interrupted or free.rounding) and _gain(other, free) > 0:
+    if not (free.interrupted or free.rounding) and other.gain_over(free) > 0:
         free = _as_searched(other, free, assumptions)
     return Searched(channels, free, True)
 
@@ -224,7 +224,7 @@ def _surely_in_motion(
         if not len(rough.projection.p):
             return None
         begun = free_refinement(channels, rough, rough.projection.p, moving=True, **of_mode)
-        if not begun.interrupted and _gain(begun, rough) <= max(2 * TUNING.likely, _CLEAR * rough.projection.rows):
+        if not begun.interrupted and begun.gain_over(rough) <= max(2 * TUNING.likely, _CLEAR * rough.projection.rows):
             return None
     if begun.interrupted:
         return Searched(channels, begun, True)
@@ -235,7 +235,7 @@ def _surely_in_motion(
     other = free_refinement(resting, free, p, moving=False, **assumptions)
     if other.interrupted:
         return Searched(channels, free, True).cut
-    gain = _gain(free, other)
+    gain = free.gain_over(other)
     if gain <= 0 and free.leaves_white_noise and other.leaves_white_noise:
         return Searched(resting, _as_searched(other, free, assumptions), False)
     return Searched(channels, free, True) if gain > 2 * TUNING.likely else None
@@ -250,11 +250,6 @@ def _as_searched(refined: FreeFit, searched: FreeFit, assumptions: dict[str, Any
     """A fit that was refined, with the order table of a search, and the finding of constants that data chose."""
     stated = with_constants(refined) if assumptions["offset"] == "auto" else refined
     return replace(stated, order_table=searched.order_table)
-
-
-def _gain(fit: FreeFit, other: FreeFit) -> float:
-    """By how much the BIC of a fit is smaller than that of another, as of as many samples."""
-    return other.criteria.bic - fit.criteria.bic * other.projection.rows / fit.projection.rows
 
 
 def _at_rest(channels: Channels, options: Options) -> tuple[Recording, ...] | None:

@@ -18,20 +18,26 @@ from .assumptions import Anew
 
 
 def beside_drift(fit: FreeFit, anew: Anew) -> FreeFit:
-    """Let outputs of a fit drift, where a line explains more than a slow mode or what is left."""
+    """Let outputs of a fit drift, where a line explains more than a slow mode or what is left.
+
+    In noise as slow a constant may explain as much.
+    """
     if not may_drift(fit):
         return fit
     slow = are_slow(fit)
     trial = anew(fit.lateness, 2, fit.projection.p[~slow])
     # a line in place of a slow pole is simpler
     least = 0.0 if slow.any() else 2 * TUNING.sure
-    if trial.criteria.bic > fit.criteria.bic - least or _gain_of_drift(trial) < TUNING.sure:
+    if trial.gain_over(fit) < least or _gain_of_drift(trial) < TUNING.sure:
         return fit
     again = anew(fit.lateness, 2, None)
-    best = again if again.criteria.bic <= trial.criteria.bic else trial
+    best = again if again.gain_over(trial) >= 0 else trial
     # slow poles may stand for a drift
     level = anew(fit.lateness, 1, fit.projection.p[~slow]) if slow.any() else fit
-    gain = max(best.criteria.loglik - level.criteria.loglik, 0.5 * (fit.criteria.bic - best.criteria.bic))
+    if level.gain_over(best) > 0:
+        return level if slow.any() else fit
+    share = level.projection.rows / best.projection.rows
+    gain = max(best.criteria.loglik * share - level.criteria.loglik, 0.5 * best.gain_over(fit))
     return replace(best, findings=(*fit.findings, drift_of(best, gain)), delay_gain=fit.delay_gain)
 
 

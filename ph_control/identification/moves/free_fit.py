@@ -94,9 +94,8 @@ def _or_of_decaying_poles(fit: FreeFit, channels: Experiments, order: int | str,
         return replace(fit, interrupted=True)
     if steady.interrupted:
         return replace(fit, interrupted=True)
-    share = fit.projection.rows / steady.projection.rows
     margin = _SURELY_GROWING if order == "auto" else 0.0
-    return steady if steady.criteria.bic * share < fit.criteria.bic + margin else fit
+    return steady if steady.gain_over(fit) > -margin else fit
 
 
 def free_refinement(channels: Experiments, like: FreeFit, p: ComplexArray, **assumptions: Any) -> FreeFit:
@@ -217,9 +216,8 @@ def _or_late(forced: FreeFit, fit: FreeFit, in_noise: InNoise, search: Search) -
     late = in_noise(late) if wanders else late
     if late.interrupted:
         return replace(forced, interrupted=True)
-    share = forced.projection.rows / late.projection.rows
     least = TUNING.wandering if wanders and late.beside is None else 0.0
-    return late if late.delay.any() and late.criteria.bic * share < forced.criteria.bic - least else forced
+    return late if late.delay.any() and late.gain_over(forced) > least else forced
 
 
 def _prepared(
@@ -266,7 +264,7 @@ def _in_white_noise_and_beside(
     fit = _or_likelier(late or known or search.along(path, channels), path, search, start)
     in_noise = _noise_beside(fit, path, search, start)
     forced = fit if fit.interrupted else _beside_noise(fit, in_noise, search)
-    if begun is None or forced.interrupted or begun.forced.criteria.bic >= min(fit.criteria.bic, forced.criteria.bic):
+    if begun is None or forced.interrupted or min(begun.forced.gain_over(each) for each in (fit, forced)) <= 0:
         return fit, forced, in_noise
     return begun.fit, begun.forced, in_noise
 
@@ -278,15 +276,20 @@ def _late(channels: Experiments, search: Search) -> FreeFit | None:
 
 
 def _beside_noise(fit: FreeFit, in_noise: InNoise, search: Search) -> FreeFit:
-    """Return the fit in noise of another kind, unless drifts of outputs in place of slow poles leave white noise."""
-    if search.assumptions.drifting and not fit.per_entry and are_slow(fit).any():
-        try:
-            drifting = beside_drift(fit, search.anew(fit))
-        except KeyboardInterrupt:
-            return replace(fit, interrupted=True)
-        if drifting is not fit and drifting.leaves_white_noise:
-            return fit
-    return in_noise(fit)
+    """Return the fit in noise of another kind, or that beside drifts of outputs in place of slow poles, if likelier."""
+    forced = in_noise(fit)
+    if not (search.assumptions.drifting and not fit.per_entry and are_slow(fit).any()) or forced.interrupted:
+        return forced
+    try:
+        drifting = beside_drift(fit, search.anew(fit))
+    except KeyboardInterrupt:
+        return replace(fit, interrupted=True)
+    if drifting.offset == fit.offset:
+        return forced
+    drifting, least = in_noise(drifting), 0.0 if forced.beside is None else 2 * TUNING.sure
+    if drifting.interrupted or drifting.gain_over(forced) < least:
+        return replace(forced, interrupted=drifting.interrupted)
+    return fit if drifting.beside is None else drifting
 
 
 def _or_in_residual_noise(fit: FreeFit, path: FreePath, open_delay: bool, search: Search) -> FreeFit:
@@ -298,7 +301,7 @@ def _or_in_residual_noise(fit: FreeFit, path: FreePath, open_delay: bool, search
     if not filters:
         return fit
     coloured = _beside_all_else(_in_own_noise(fit, filters, search).with_delay_open(open_delay), search)
-    return coloured if coloured.interrupted or coloured.criteria.bic < fit.criteria.bic else fit
+    return coloured if coloured.interrupted or coloured.gain_over(fit) > 0 else fit
 
 
 def _or_in_own_noise(fit: FreeFit, forced: FreeFit, search: Search) -> tuple[FreeFit, FreeFit, FreeFit | None]:
@@ -312,7 +315,7 @@ def _or_in_own_noise(fit: FreeFit, forced: FreeFit, search: Search) -> tuple[Fre
         if not search.automatic or fit.noise:
             return fit, forced, None
         slow = _in_slow_noise(fit, forced.own_noise, search)
-        better = slow.interrupted or forced.beside is None or slow.criteria.bic < forced.criteria.bic
+        better = slow.interrupted or forced.beside is None or slow.gain_over(forced) > 0
         return (slow, slow, None) if better else (fit, forced, slow)
     coloured = _likelier_in_own_noise(forced, search) if forced.beside and forced.beside.is_coloured else None
     return (fit, forced, None) if coloured is None else (coloured, coloured, None)
@@ -327,7 +330,7 @@ def _in_slow_noise(fit: FreeFit, filters: tuple[Array, ...], search: Search) -> 
         except KeyboardInterrupt:
             return replace(fit, interrupted=True)
     coloured = _in_own_noise(fit, filters, search)
-    return drifting if drifting.criteria.bic < coloured.criteria.bic and not coloured.interrupted else coloured
+    return drifting if drifting.gain_over(coloured) > 0 and not coloured.interrupted else coloured
 
 
 def _or_likelier(fit: FreeFit, path: FreePath, search: Search, start: ComplexArray | None) -> FreeFit:
@@ -389,8 +392,7 @@ def _in_likelier_rows(forced: FreeFit, changed: FreeFit, in_noise: InNoise, sear
         return replace(forced, interrupted=True)
     if changed.offset > forced.offset or np.any(changed.delay != forced.delay):
         again = in_noise(changed)
-        share = forced.projection.rows / again.projection.rows
-        if again.criteria.bic * share < forced.criteria.bic - 2 * TUNING.sure:
+        if again.gain_over(forced) > 2 * TUNING.sure:
             return again
     return with_constants(forced) if search.assumptions.drifting else forced
 
@@ -419,13 +421,13 @@ def _in_own_noise(fit: FreeFit, filters: tuple[Array, ...], search: Search) -> F
     path = search.path(fit.channels, terms=None if search.automatic else fit.offset)
     path.whiten(filters, path.power)
     again = search.along(path, fit.channels)
-    return again if again.interrupted or again.criteria.bic < fit.criteria.bic else fit
+    return again if again.interrupted or again.gain_over(fit) > 0 else fit
 
 
 def _likelier_in_own_noise(forced: FreeFit, search: Search) -> FreeFit | None:
     """Fit the modes of a fit beside forces in coloured noise of each output instead; None if that is less likely."""
     coloured = _with_own_noise(forced, search)
-    return coloured if coloured.interrupted or coloured.criteria.bic <= forced.criteria.bic else None
+    return coloured if coloured.interrupted or coloured.gain_over(forced) >= 0 else None
 
 
 def _with_own_noise(forced: FreeFit, search: Search) -> FreeFit:
@@ -470,9 +472,8 @@ def _late_beside_forces(forced: FreeFit, in_noise: InNoise, search: Search) -> F
         trials.append(in_noise(white))
     if trials[-1].interrupted:
         return replace(forced, interrupted=True)
-    best = min(trials, key=lambda fit: fit.criteria.bic / fit.projection.rows)
-    gain = forced.criteria.bic * best.projection.rows / forced.projection.rows - best.criteria.bic
-    return forced if best is forced else replace(best, delay_gain=0.5 * gain)
+    best = max(trials, key=lambda fit: fit.gain_over(forced))
+    return forced if best is forced else replace(best, delay_gain=0.5 * best.gain_over(forced))
 
 
 def _of_few_lines(fit: FreeFit, whole: FreePath, most: int) -> FreeFit:
@@ -540,7 +541,7 @@ def _with_real_poles(channels: Experiments, order: int, assumptions: Assumptions
     trial = fitted(channels, "auto", same, fit.projection.p)
     if trial.interrupted:
         return replace(fit, interrupted=True)
-    if not count_real_poles(trial.projection.p) or trial.criteria.bic >= fit.criteria.bic:
+    if not count_real_poles(trial.projection.p) or trial.gain_over(fit) <= 0:
         return fit
     wider = fitted(channels, "auto", open_order, None)
     real = count_real_poles(wider.projection.p)
@@ -551,7 +552,7 @@ def _with_real_poles(channels: Experiments, order: int, assumptions: Assumptions
         return fit
     if fewer > 0 and not wider.crowded:
         wider = fitted(channels, order - real // 2, replace(assumptions, real_poles=real), wider.projection.p)
-    return fit if wider.interrupted else min(fit, trial, wider, key=lambda likely: likely.criteria.bic)
+    return fit if wider.interrupted else max(fit, trial, wider, key=lambda likely: likely.gain_over(fit))
 
 
 def _of_long(

@@ -73,7 +73,7 @@ def in_prevailing_noise(channels: Experiments, search: Search, late: Lateness) -
         path.whiten(forced.own_noise, path.power)
         coloured = search.along(path, channels, p)
         stands = coloured.interrupted or bool(coloured.states and not leaves_traces(coloured.projection))
-        if coloured.interrupted or forced.beside is None or coloured.criteria.bic < forced.criteria.bic:
+        if coloured.interrupted or forced.beside is None or coloured.gain_over(forced) > 0:
             return Begun(coloured, coloured, stands)
     if forced.beside is None:
         return None
@@ -168,28 +168,39 @@ def beside_forces_and_more(forced: FreeFit, fit: FreeFit, search: Search, *, may
         samples = predicted_delay(records, len(fit.scales), felt)[0] if may_be_late else 0
         if samples:
             delay = np.full(len(fit.scales), samples * fit.channels[0].dt)
-            late = _in_other_rows(best, fit, replace(fit.lateness, outputs=delay), fit.offset, search)
-            best = best if late is None else replace(late, delay_gain=0.5 * _gain(best, late))
+            late = _in_other_rows(fit, best.projection.p, replace(fit.lateness, outputs=delay), fit.offset, search)
+            gain = late.gain_over(best)
+            best = replace(late, delay_gain=0.5 * gain) if gain > 2 * TUNING.sure else best
         if search.assumptions.drifting and may_drift(best):
-            drifting = _in_other_rows(best, fit, best.lateness, 2, search)
-            if drifting is not None:
-                drift = drift_of(drifting, 0.5 * _gain(best, drifting))
-                best = replace(drifting, findings=(*drifting.findings, drift), delay_gain=best.delay_gain)
+            best = _beside_drift(best, fit, search)
     except KeyboardInterrupt:
         return replace(best, interrupted=True)
     return with_constants(best) if search.assumptions.drifting else best
 
 
-def _in_other_rows(best: FreeFit, fit: FreeFit, late: Lateness, offset: int, search: Search) -> FreeFit | None:
-    """Return a fit of the same poles with another delay or drift, beside forces if they remain, if far likelier."""
-    p = best.projection.p[~are_slow(best)] if offset > 1 else best.projection.p
+def _beside_drift(forced: FreeFit, fit: FreeFit, search: Search) -> FreeFit:
+    """Return a fit beside forces, or that of its poles that are not slow, with a drift or a constant, if likelier.
+
+    Noise that takes the place of slow poles may wander as far as outputs drift.
+    """
+    drifting = _in_other_rows(fit, forced.projection.p[~are_slow(forced)], forced.lateness, 2, search)
+    if drifting.gain_over(forced) <= 2 * TUNING.sure:
+        return forced
+    level = _in_other_rows(fit, drifting.projection.p, forced.lateness, fit.offset, search, drifting)
+    best = level if level.gain_over(forced) > 0 else forced
+    gain = drifting.gain_over(best)
+    if gain > 2 * TUNING.sure:
+        best = replace(drifting, findings=(*drifting.findings, drift_of(drifting, 0.5 * gain)))
+    return replace(best, delay_gain=forced.delay_gain, own_noise=best.own_noise or forced.own_noise)
+
+
+def _in_other_rows(
+    fit: FreeFit, p: ComplexArray, late: Lateness, offset: int, search: Search, like: FreeFit | None = None
+) -> FreeFit:  # fmt: skip
+    """Return a fit of some poles with another delay or drift, beside forces if they remain, `like` those of another."""
     is_open = search.assumptions.delay is None
-    again = search.assumptions.beside(search.anew(fit)(late, offset, p).with_delay_open(is_open), orders=Orders())
+    again = search.anew(fit)(late, offset, p).with_delay_open(is_open)
+    again = search.assumptions.beside(again, orders=Orders(), like=like)
     if again.interrupted:
         raise KeyboardInterrupt
-    return again if _gain(best, again) > 2 * TUNING.sure else None
-
-
-def _gain(before: FreeFit, after: FreeFit) -> float:
-    """Return by how much the BIC of a fit is smaller, of as many samples."""
-    return before.criteria.bic - after.criteria.bic * before.projection.rows / after.projection.rows
+    return again

@@ -234,6 +234,13 @@ class FreeFit(Frozen):
         rows = self.projection.rows
         return rows / max(1, rows - self.unknowns)
 
+    def gain_over(self, other: FreeFit) -> float:
+        """By how much the BIC is smaller than that of another fit, as of as many samples as that has.
+
+        The first samples in coloured noise of an output begin its filter, and are no rows.
+        """
+        return other.criteria.bic - self.criteria.bic * other.projection.rows / self.projection.rows
+
     def with_delay_open(self, is_open: bool) -> FreeFit:
         """The fit, and that under the other hold, with the delay left to the data or not."""
         return replace(self.with_rival(lambda rival: replace(rival, delay_open=is_open)), delay_open=is_open)
