@@ -76,6 +76,18 @@ def test_a_sensor_that_wanders_does_not_drift(drifts, seed):
     assert ("DRIFT" in causes, "SLOW_NOISE" in causes) == (drifts, not drifts)
 
 
+@pytest.mark.parametrize("seed", [1, *slowly(0, 2, 9)])
+def test_the_unit_of_an_output_changes_nothing(seed):
+    """Coloured noise and delays take some samples each, so that likelihoods are of other numbers of these."""
+    rng = np.random.default_rng([seed, 44])
+    u = np.repeat(rng.choice([-1.0, 1.0], (1, 1000))[:, :200], 5, axis=1)
+    x = through(u, [-0.05], [[[0.05]]])
+    y = x + 0.3 * x.std() * random_walk(rng, x.shape, 0.05)
+    small, large = (phc.pem((u[0], unit * y[0]), dt=1.0, **KNOWN) for unit in (1e-6, 1e6))
+    np.testing.assert_allclose(small.poles, large.poles, rtol=1e-5)
+    assert [each.cause for each in small.findings] == [each.cause for each in large.findings]
+
+
 @pytest.mark.parametrize("seed", [2, *slowly(0, 3)])
 def test_what_grows_at_the_end_of_noise_that_wanders_is_no_pole(seed):
     """A free motion that grows fits the end of a record, and nothing that follows."""

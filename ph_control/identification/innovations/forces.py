@@ -743,9 +743,8 @@ def initial_noise(projection: FreeProjection, step: float) -> NoiseSections:
 def _alone(free: FreeFit, rows: Sequence[FreeRecord], white: LikelihoodEvaluation | None) -> float:
     """Twice the negative log-likelihood of noise of each output alone, in the units of the rows."""
     if free.noise or white is None:
-        samples = _samples(rows)
-        share = samples / free.projection.rows  # the first samples begin the filters of coloured noise
-        return -2 * (free.criteria.loglik * share + samples * float(np.mean(np.log(free.scales))))
+        samples = _samples(rows) // len(free.scales)
+        return -2 * (free.criteria.loglik + samples * float(np.sum(np.log(free.scales))))
     return float(white.problem.samples * np.sum(np.log(np.diag(white.covariance)) + 1 + np.log(2 * np.pi)))
 
 
@@ -817,8 +816,7 @@ def _in_noise(free: FreeFit, best: Minimum, alone: float, certain: bool) -> Free
     floors = np.maximum(1.0, ROUNDED * projection.rounded / (samples * np.diag(evaluation.covariance)))
     loglik = -0.5 * evaluation.cost - samples * float(np.sum(np.log(free.scales * np.sqrt(floors))))
     criteria = Criteria.of(loglik, unknowns + p, float(samples * p))
-    gain = free.criteria.bic * projection.rows / free.projection.rows - criteria.bic
-    if not certain and gain <= _margin(best, free) and (free.noise or noise.is_coloured):
+    if not certain and free.criteria.bic <= criteria.bic + _margin(best, free) and (free.noise or noise.is_coloured):
         return free
     finding = _finding(free, noise, evaluation, 0.5 * (alone - evaluation.cost))
     of_noise = (

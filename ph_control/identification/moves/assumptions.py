@@ -190,7 +190,7 @@ class Search:
         Where outputs may drift, a search asks anew whether they have a constant.  What is `compared` with the fit is
         refined to the last digit only where it is not far less likely from the first.
         """
-        limit = fit.criteria.bic / fit.projection.rows + _HOPELESS if compared else np.inf
+        limit = fit.criteria.bic / fit.criteria.samples + _HOPELESS if compared else np.inf
 
         def search_or_refine(late: Lateness, terms: int, start: ComplexArray | None) -> FreeFit:
             terms = max(terms, int(self.assumptions.drifting and start is None))

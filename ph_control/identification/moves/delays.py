@@ -170,7 +170,7 @@ def on_time(fit: FreeFit, search: Search) -> FreeFit:
         likely = [] if scan is None else scan.likely()
         made = trials.compare(likely + ([] if trials.best.delay.any() else _shown_delays(trials.best)))
         if made and trials.best is before:
-            trials.compare_near_loser(min(made, key=lambda fit: fit.criteria.bic / fit.projection.rows))
+            trials.compare_near_loser(min(made, key=lambda fit: fit.criteria.bic / fit.criteria.samples))
         if trials.best is before:
             break
     if not trials.best.exact and trials.best.delay.any():
@@ -265,27 +265,40 @@ def _least_gain(fit: FreeFit, again: FreeFit) -> float:
 
 def bic_within(fit: FreeFit, least: float, most: float, more: int = 0) -> float:
     """Return the BIC of a fit, with some more parameters, over the samples that delays between two times leave."""
-    rows = _rows_within(fit, fit.channels, fit.delay, least, most)
-    return _bic_of(rows, FreeProjection(rows, fit.projection.p, fit.projection.fed), fit.unknowns + more)
+    measured = _measured_within(fit, fit.channels, fit.delay, least, most)
+    rows = _in_noise_of(fit, measured)
+    projection = FreeProjection(rows, fit.projection.p, fit.projection.fed)
+    return _bic_of(rows, projection, fit.unknowns + more, measured)
 
 
-def _rows_within(
+def _measured_within(
     fit: FreeFit, channels: Sequence[Recording], delay: Array, least: float, most: float
 ) -> Sequence[FreeRecord]:  # fmt: skip
-    """Return rows in the noise of a fit with some delay, of the samples that delays between two times leave."""
+    """Return rows of a fit with some delay, of the samples that delays between two times leave."""
     moving = any(rows.moving for rows in fit.projection.experiments)
     records = rows_as_in(fit, channels, moving, replace(fit.lateness, outputs=delay))
-    rows = [record.delayed(record.delay_time, least, most) for record in records]
+    return [record.delayed(record.delay_time, least, most) for record in records]
+
+
+def _in_noise_of(fit: FreeFit, rows: Sequence[FreeRecord]) -> Sequence[FreeRecord]:
+    """Return rows in which the noise of a fit is white."""
     return Records(rows).whitened(fit.noise).data if fit.noise else rows
 
 
-def _bic_of(rows: Sequence[FreeRecord], projection: FreeProjection, unknowns: int) -> float:
-    """Return the BIC of poles in some rows, with so many parameters."""
+def _bic_of(
+    rows: Sequence[FreeRecord], projection: FreeProjection, unknowns: int, measured: Sequence[FreeRecord] | None = None
+) -> float:
+    """Return the BIC of poles in some rows, with so many parameters, as of all samples that were measured.
+
+    The first of these begin the filters of coloured noise, of each fit its own.
+    """
     losses = np.maximum(projection.losses, np.maximum(ROUNDED * projection.rounded, np.finfo(float).tiny))
-    counts = np.zeros(len(losses))
+    counts, samples = np.zeros((2, len(losses)))
     for record in rows:
         counts[record.outputs] += record.samples
-    return unknowns * float(np.log(counts.sum())) + float(counts @ np.log(losses / counts))
+    for record in rows if measured is None else measured:
+        samples[record.outputs] += record.samples
+    return unknowns * float(np.log(samples.sum())) + float(samples @ np.log(losses / counts))
 
 
 def are_heavy(p: ComplexArray) -> Mask:
@@ -511,7 +524,10 @@ class _DelayScan:
         A response that ends before a delay does would be left out of one of them alone.
         """
         delays = (self.fit.delay, self.delays(samples))
-        rows = [_rows_within(self.fit, self.channels, each, np.min(delays), np.max(delays)) for each in delays]
+        rows = [
+            _in_noise_of(self.fit, _measured_within(self.fit, self.channels, each, np.min(delays), np.max(delays)))
+            for each in delays
+        ]
         projections = [FreeProjection(*pair) for pair in zip(rows, (self.p, p), strict=True)]
         before, after = (_bic_of(*pair, pair[1].unknowns) for pair in zip(rows, projections, strict=True))
         return 0.5 * (before - after)

@@ -70,13 +70,14 @@ class Criteria:
     aic: float
     aicc: float
     bic: float
+    samples: float
 
     @classmethod
     def of(cls, loglik: float, parameters: int, samples: float) -> Criteria:
         """Criteria of a likelihood with so many parameters, variances among them."""
         aic, spare = 2 * parameters - 2 * loglik, samples - parameters - 1
         aicc = aic + 2 * parameters * (parameters + 1) / spare if spare > 0 else np.inf
-        return cls(loglik, aic, aicc, parameters * float(np.log(samples)) - 2 * loglik)
+        return cls(loglik, aic, aicc, parameters * float(np.log(samples)) - 2 * loglik, samples)
 
     def by_name(self, name: str) -> float:
         """Value of a criterion; the likelihood guides a search whose choice is made by what was held out."""
@@ -237,9 +238,9 @@ class FreeFit(Frozen):
     def gain_over(self, other: FreeFit) -> float:
         """By how much the BIC is smaller than that of another fit, as of as many samples as that has.
 
-        The first samples in coloured noise of an output begin its filter, and are no rows.
+        Where outputs come late, their first samples are left out.
         """
-        return other.criteria.bic - self.criteria.bic * other.projection.rows / self.projection.rows
+        return other.criteria.bic - self.criteria.bic * other.criteria.samples / self.criteria.samples
 
     def with_delay_open(self, is_open: bool) -> FreeFit:
         """The fit, and that under the other hold, with the delay left to the data or not."""
