@@ -69,7 +69,7 @@ def held(poles: ComplexArray, residues: ComplexArray, u: Array, step: float, lin
         # exact steps of x' = pole x + v, v' = (next - now) / step between samples
         E = expm(np.array([[pole * step, step, 0], [0, 0, 1], [0, 0, 0]], complex))
         now, ahead = (E[0, 1] - E[0, 2], E[0, 2]) if linear else (E[0, 1], 0.0)
-        states = np.array([lfilter([ahead, now], [1.0, -E[0, 0]], one + 0j) for one in u])
+        states = np.array([lfilter([ahead, now], [1.0, -E[0, 0]], signal + 0j) for signal in u])
         if linear:  # the first sample is the beginning, not a step
             states -= ahead * u[:, :1] * np.exp(pole * step * np.arange(u.shape[1]))
         y += (2.0 if pole.imag else 1.0) * (residue @ states).real
@@ -238,14 +238,14 @@ def _loop(rng: np.random.Generator, samples: int = 2000) -> Simulated:
 def _five_inputs(rng: np.random.Generator, samples: int = 2500) -> Simulated:
     u = levels(rng, 5, samples, 30)
     lags, delays, gains = (30.0, 12.0, 30.0, 6.0, 12.0), (0, 3, 7, 1, 12), (1.0, -0.6, 0.5, 0.8, -0.4)
-    x = sum(g * chained(one, (lag,), d) for g, one, lag, d in zip(gains, u, lags, delays, strict=True))
+    x = sum(g * chained(signal, (lag,), d) for g, signal, lag, d in zip(gains, u, lags, delays, strict=True))
     return u, (5 + x + 0.5 * np.std(x) * loaded(rng, samples, 0.95))[None], np.reshape(5 + x, (1, -1))
 
 
 def _column(rng: np.random.Generator, samples: int = 2500) -> Simulated:
     """A distillation column: 3 outputs and 2 inputs, lags that all share."""
     u = levels(rng, 2, samples, 40)
-    slow, fast = (np.array([chained(one, (lag,)) for one in u]) for lag in (40.0, 8.0))
+    slow, fast = (np.array([chained(signal, (lag,)) for signal in u]) for lag in (40.0, 8.0))
     x = np.array([[0.9, -0.8], [0.6, -0.7], [0.3, 0.5]]) @ slow + np.array([[0.1, 0.1], [0.4, 0.2], [-0.3, 0.4]]) @ fast
     noise = np.array([loaded(rng, samples, a) for a in (0.95, 0.9, 0.8)])
     return u, x + 0.4 * np.std(x, axis=1, keepdims=True) * noise, x
@@ -339,11 +339,11 @@ def peers(u: Array, y: Array) -> dict[str, Callable[[Array, Array], Array]]:
     from sippy_unipi import system_identification
 
     logging.disable(logging.WARNING)
-    found: dict[str, Callable[[Array, Array], Array]] = {}
+    models: dict[str, Callable[[Array, Array], Array]] = {}
 
     def keep(name: str, matrices: Sequence[Array]) -> None:
-        A, B, C, D = (np.asarray(one, float) for one in matrices)
-        found[name] = lambda u, y: state_space(A, B, C, D, u, y)
+        A, B, C, D = (np.asarray(matrix, float) for matrix in matrices)
+        models[name] = lambda u, y: state_space(A, B, C, D, u, y)
 
     for order in range(1, MOST + 1):
         for method in ("N4SID", "MOESP", "CVA", "PARSIM-K"):
@@ -363,7 +363,7 @@ def peers(u: Array, y: Array) -> dict[str, Callable[[Array, Array], Array]]:
             keep(f"nfoursid {order}", (model.a, model.b, model.c, model.d))
         except Exception:
             continue
-    return found
+    return models
 
 
 def foretell_table(names: Sequence[str], seeds: int, with_peers: bool) -> None:
@@ -383,14 +383,14 @@ def foretell_table(names: Sequence[str], seeds: int, with_peers: bool) -> None:
             states = int(np.sum(1 + (result.poles.imag > 0)))
             best = ""
             if with_peers:
-                means = [one[:, :half].mean(axis=1, keepdims=True) for one in (u, y)]
-                models = peers(*(one[:, :half] - mean for one, mean in zip((u, y), means, strict=True)))
-                u2, y2 = (one[:, half:] - mean for one, mean in zip((u, y), means, strict=True))
+                means = [channel[:, :half].mean(axis=1, keepdims=True) for channel in (u, y)]
+                models = peers(*(channel[:, :half] - mean for channel, mean in zip((u, y), means, strict=True)))
+                u2, y2 = (channel[:, half:] - mean for channel, mean in zip((u, y), means, strict=True))
                 with np.errstate(all="ignore"):
                     fits = {key: percent(y2, model(u2, y2)) for key, model in models.items()}
                 top = max(fits, key=lambda key: fits[key] if np.isfinite(fits[key]) else -np.inf)
                 best = f"{fits[top]:6.1f} {top}"
-            delays = [one.values for one in result.findings if one.cause.name == "DELAY"]
+            delays = [finding.values for finding in result.findings if finding.cause.name == "DELAY"]
             print(
                 f"{name:26} {seed:4d} {states:6d} {result.fit_percent:6.1f} {fit:6.1f} {plant:6.1f} {seconds:6.2f}  "
                 f"{result.outcome.name:13} {best} {delays or ''}",
