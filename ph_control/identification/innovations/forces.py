@@ -293,11 +293,13 @@ def _through_lags_alone(foretold: _Predictors, hidden: bool = False, limit: floa
         problem, point = start
         outputs = len(point.noise.C)
         noise = replace(point.noise, C=np.zeros((outputs, 0)), K=np.zeros((0, outputs)), apart=True)
-        # not moved: in white noise the poles that are kept become slow ones
-        white = Minimum(problem.evaluated(replace(point, noise=noise)), converged=False, steps=0)
+        begin = replace(point, noise=noise)
+        white = followed(problem, begin, _ROUGH, _FEW)
         if not _promises_lag(white.evaluation, limit):
             continue
-        ends.append(_with_lags(white, limit))
+        # in white noise poles that are kept may become as slow as those that were dropped
+        unmoved = Minimum(problem.evaluated(begin), converged=False, steps=0)
+        ends += [_with_lags(each, limit) for each in (white, unmoved)]
         if 1 < outputs <= _LAGS:
             starts = [_each_wandering(white.evaluation, rate, part) for rate, part in _COLOURS]
             ends += [followed(problem, start, _ROUGH, _FEW) for start in starts]
