@@ -175,8 +175,8 @@ def _beside_forces(
     if "forces" in kinds:
         begun = _like(like, free, rows)
         hints = certain or _hints_at_forces(foretold, alone, best.evaluation if best else white)
-        among = None if certain else white
-        forced = _forced(start, foretold, among, begun) if hints else _through_lags_alone(foretold, True)
+        rival = None if certain else white
+        forced = _forced(start, foretold, rival, begun) if hints else _through_lags_alone(foretold, hidden=True)
         if forced is not None and (certain or _shows_forces(free, rows, forced, best)):
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):

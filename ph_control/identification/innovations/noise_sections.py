@@ -278,18 +278,18 @@ class NoiseSections:
         `starts` are states (N,) of records, or the last of them.  There are N directions; where outputs see the first
         state of each mode alone, one fewer for each mode.
         """
-        directions = []
+        directions, width = [], len(starts[0]) if starts else 0
+        states = np.zeros((len(starts), self.states))
+        states[:, self.states - width :] = starts if starts else 0.0
         for first, block in self._commuting(real_shapes):
             place = slice(first, first + len(block))
             C, K = np.zeros(self.C.shape), np.zeros(self.K.shape)
             C[:, place], K[place] = self.C[:, place] @ block, -block @ self.K[place]
-            moved = np.zeros((len(starts), self.states))
-            missing = self.states - (len(starts[0]) if len(starts) else 0)
-            for row, start in zip(moved, starts, strict=True):
-                row[place] = -block @ np.concatenate([np.zeros(missing), start])[place]
-            directions.append(np.concatenate([C.ravel(), K.ravel(), moved[:, missing:].ravel()]))
+            moved = np.zeros(states.shape)
+            moved[:, place] = -states[:, place] @ block.T
+            directions.append(np.concatenate([C.ravel(), K.ravel(), moved[:, self.states - width :].ravel()]))
         if not directions:
-            return np.zeros((self.C.size + self.K.size + sum(map(len, starts)), 0))
+            return np.zeros((self.C.size + self.K.size + len(starts) * width, 0))
         return np.asarray(np.linalg.qr(np.array(directions).T)[0])
 
     def _commuting(self, real_shapes: bool) -> Iterator[tuple[int, Array]]:

@@ -35,7 +35,7 @@ def beside_drift(fit: FreeFit, anew: Anew) -> FreeFit:
     # slow poles may stand for a drift
     level = anew(fit.lateness, 1, fit.projection.p[~slow]) if slow.any() else fit
     if level.gain_over(best) > 0:
-        return level if slow.any() else fit
+        return level
     gain = max(best.criteria.loglik - level.criteria.loglik, 0.5 * best.gain_over(fit))
     return replace(best, findings=(*fit.findings, drift_of(best, gain)), delay_gain=fit.delay_gain)
 
