@@ -46,6 +46,7 @@ _LEAST_DECAY = 0.05  # bins: noise through a pole that decays more slowly never 
 _STEPS = 40
 _SINGULAR = 1e-3  # smallest eigenvalue of the correlations: outputs so nearly alike leave no covariance to weigh by
 _FAR = 0.1  # logarithm of the ratio of variances for each output, by which noise of outputs is hopeless
+_APART = 0.3  # the same of fits with other poles
 _LONGEST_PAST = 64  # samples that noise of an output may depend on
 _ROUGH, _FEW = 1.0, 12  # tolerance and steps of a minimisation on the way
 _ROWS = 300  # of a covariance of the past of outputs and inputs
@@ -176,7 +177,7 @@ def _beside_forces(
         begun = _like(like, free, rows)
         hints = certain or _hints_at_forces(foretold, alone, best.evaluation if best else white)
         rival = None if certain else white
-        forced = _forced(start, foretold, rival, begun) if hints else _through_lags_alone(foretold, hidden=True)
+        forced = _forced(start, foretold, rival, begun) if hints else _hidden_by_slow_poles(foretold, alone)
         if forced is not None and (certain or _shows_forces(free, rows, forced, best)):
             best = forced
     if best is None or not np.isfinite(best.evaluation.cost):
@@ -276,15 +277,19 @@ def _with_lags(best: Minimum, limit: float = np.inf) -> Minimum:
     return best
 
 
-def _through_lags_alone(foretold: _Predictors, hidden: bool = False, limit: float = np.inf) -> Minimum | None:
+def _hidden_by_slow_poles(foretold: _Predictors, alone: float) -> Minimum | None:
+    """The minimum in noise through lags alone, that only slow poles may have hidden; None without such poles."""
+    if not _slow(foretold).any():
+        return None
+    return _through_lags_alone(foretold, foretold.bic_alone(alone) + TUNING.wandering)
+
+
+def _through_lags_alone(foretold: _Predictors, limit: float = np.inf) -> Minimum | None:
     """The minimum in noise that comes through lags alone, as of sensors that wander; None where none is promised.
 
-    Poles as slow as a record may stand for such noise: of an open number they are left out as well.  None without such
-    poles if it is looked for where only they may have `hidden` it.
+    Poles as slow as a record may stand for such noise: of an open number they are left out as well.
     """
     p, rows, slow = foretold.free.projection.p, foretold.rows, _slow(foretold)
-    if hidden and not slow.any():
-        return None
     ends, by_speed = list[Minimum](), np.argsort(np.abs(p))
     for dropped in range(min(int(slow.sum()), len(p) - 1) + 1):
         start = _start(foretold.free, rows, np.delete(p, by_speed[:dropped]))
@@ -295,7 +300,7 @@ def _through_lags_alone(foretold: _Predictors, hidden: bool = False, limit: floa
         noise = replace(point.noise, C=np.zeros((outputs, 0)), K=np.zeros((0, outputs)), apart=True)
         begin = replace(point, noise=noise)
         white = followed(problem, begin, _ROUGH, _FEW)
-        if not _promises_lag(white.evaluation, limit):
+        if _is_hopeless(white.evaluation, limit) or not _promises_lag(white.evaluation, limit):
             continue
         # in white noise poles that are kept may become as slow as those that were dropped
         unmoved = Minimum(problem.evaluated(begin), converged=False, steps=0)
@@ -353,6 +358,13 @@ def _promises_lag(evaluation: LikelihoodEvaluation, limit: float) -> bool:
     return False
 
 
+def _is_hopeless(evaluation: LikelihoodEvaluation, limit: float) -> bool:
+    """Whether no noise of each output makes residuals so likely that other poles could bring the BIC below a limit."""
+    values = evaluation.values
+    cost, _ = _autoregressions(evaluation, float(np.log(values)))
+    return cost + evaluation.unknowns * float(np.log(values)) > limit + _APART * values
+
+
 def _lag_before(evaluation: LikelihoodEvaluation, rate: float, part: float) -> InnovationsModel:
     """The model with a lag more before the strongest innovations, of which past errors foretell a part."""
     values, vectors = np.linalg.eigh(evaluation.covariance)
@@ -398,6 +410,10 @@ class _Predictors:
     def bic(self) -> float:
         """Smallest BIC, infinite if there is none."""
         return self._ranked[0][0] if self._ranked else np.inf
+
+    def bic_alone(self, alone: float) -> float:
+        """The BIC of the fit in noise of each output, of which twice the negative log-likelihood is given."""
+        return alone + (self.free.unknowns + len(self.free.scales)) * float(np.log(_samples(self.rows)))
 
     @cached_property
     def starts(self) -> list[Start]:
@@ -767,8 +783,7 @@ def _hints_at_forces(foretold: _Predictors, alone: float, white: LikelihoodEvalu
     Where the residuals about no mode are unlike white noise, or poles leave no likelihood, a predictor has to be
     likelier than the fit in noise of each output `alone`, too.
     """
-    unknowns, samples = foretold.free.unknowns + len(foretold.free.scales), _samples(foretold.rows)
-    predicts = alone + unknowns * float(np.log(samples))
+    predicts = foretold.bic_alone(alone)
     if white is None:
         return foretold.bic < predicts
     problem, noise = white.problem, white.point.noise

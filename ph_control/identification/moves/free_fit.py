@@ -39,6 +39,7 @@ from .response_noise import in_noise_of_the_gain, in_noise_of_the_window, with_f
 _FEW_MODES = 5  # that few points of responses do not show beside a background
 
 _SURELY_GROWING = 40.0  # by which the BIC is smaller with a pole that grows, at least
+_HOPELESS = 0.3  # logarithm of the ratio of variances of each output, beyond which no other poles that decay do as well
 _SHORTEST_SPAN = 32  # samples of one level of noise that are searched
 
 
@@ -88,14 +89,26 @@ def _or_of_decaying_poles(fit: FreeFit, channels: Experiments, order: int | str,
 
     What grows fits the end of most records of noise that wanders, where it was let in, and none that follow.
     """
+    given = replace(given, growing=False)
     try:
-        steady = _fitted(channels, order, replace(given, growing=False), None)
+        if _must_grow(fit, channels, given):
+            return fit
+        steady = _fitted(channels, order, given, None)
     except KeyboardInterrupt:
         return replace(fit, interrupted=True)
     if steady.interrupted:
         return replace(fit, interrupted=True)
     margin = _SURELY_GROWING if order == "auto" else 0.0
     return steady if steady.gain_over(fit) > -margin else fit
+
+
+def _must_grow(fit: FreeFit, channels: Experiments, given: Assumptions) -> bool:
+    """Whether poles that may not grow leave so much beside noise of each output that others could hardly do better."""
+    if fit.beside is not None or is_long(channels):
+        return False
+    path = Search(given, fit.projection.p, fit.order, False).path(channels, fit.lateness, fit.offset, fit.intersample)
+    model = path.in_its_noise(path.reweighted(path.model(fit.projection.p)))
+    return path.cost(model) > fit.criteria.bic + _HOPELESS * fit.criteria.samples
 
 
 def free_refinement(channels: Experiments, like: FreeFit, p: ComplexArray, **assumptions: Any) -> FreeFit:
@@ -167,7 +180,8 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
     open_delay = assumptions.delay is None and may_be_late(forced)
     if forced.beside is not None and forced.beside.is_coloured:
         return _late_or_not(forced, fit, slow, in_noise, open_delay, search)
-    in_white_noise = _beside_all_else(fit.with_delay_open(open_delay), search)
+    fit = fit.with_delay_open(open_delay)
+    in_white_noise = _beside_all_else(fit, search)
     if forced.beside is not None:
         return _in_likelier_rows(forced, in_white_noise, in_noise, search)
     if _grows(in_white_noise) and not (search.automatic or fit.noise):
@@ -183,7 +197,7 @@ def _may_hide_noise(changed: FreeFit, fit: FreeFit, search: Search) -> bool:
     """
     drifts = changed.offset > max(1, fit.offset) and not (changed.delay.any() or changed.noise)
     late = bool(changed.noise) and np.any(changed.delay != fit.delay)
-    wanders = changed is not fit and are_slow(changed).any()
+    wanders = are_slow(changed).any() and not np.array_equal(changed.projection.p, fit.projection.p)
     return bool(drifts or (search.automatic and (late or wanders)))
 
 
