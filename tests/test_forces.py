@@ -358,7 +358,6 @@ def test_a_drift_does_not_hide_noise_that_outputs_share():
     assert abs(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]) - 0.9) < 0.03
 
 
-@pytest.mark.slow
 def test_noise_with_nothing_at_frequency_zero_leaves_errors_that_hold():
     u, y, _ = shaken(236, modes=1, lags=1, outputs=2)
     result = phc.pem((u, y), dt=1.0)

@@ -92,6 +92,7 @@ def _leans(rows: FreeRecord, predicted: RealOrComplex) -> bool:
     """Return whether a line explains some of what is left of outputs."""
     t = np.flatnonzero(rows.observed) - np.mean(np.flatnonzero(rows.observed))
     residuals = (rows.measured - predicted)[:, rows.observed]
+    residuals = residuals - residuals.mean(axis=1, keepdims=True)
     share = (residuals @ t) ** 2 / np.maximum(np.sum(residuals**2, axis=1) * (t @ t), np.finfo(float).tiny)
     return bool(np.any(-0.5 * len(t) * np.log1p(-np.minimum(share, 0.5)) > TUNING.likely))
 
