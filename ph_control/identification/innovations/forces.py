@@ -46,7 +46,6 @@ _LEAST_DECAY = 0.05  # bins: noise through a pole that decays more slowly never 
 _STEPS = 40
 _SINGULAR = 1e-3  # smallest eigenvalue of the correlations: outputs so nearly alike leave no covariance to weigh by
 _FAR = 0.1  # logarithm of the ratio of variances for each output, by which noise of outputs is hopeless
-_APART = 0.3  # the same of fits with other poles
 _LONGEST_PAST = 64  # samples that noise of an output may depend on
 _ROUGH, _FEW = 1.0, 12  # tolerance and steps of a minimisation on the way
 _ROWS = 300  # of a covariance of the past of outputs and inputs
@@ -362,7 +361,7 @@ def _is_hopeless(evaluation: LikelihoodEvaluation, limit: float) -> bool:
     """Whether no noise of each output makes residuals so likely that other poles could bring the BIC below a limit."""
     values = evaluation.values
     cost, _ = _autoregressions(evaluation, float(np.log(values)))
-    return cost + evaluation.unknowns * float(np.log(values)) > limit + _APART * values
+    return cost + evaluation.unknowns * float(np.log(values)) > limit + TUNING.hopeless * values
 
 
 def _lag_before(evaluation: LikelihoodEvaluation, rate: float, part: float) -> InnovationsModel:

@@ -197,8 +197,9 @@ def with_estimated_noise(evaluation: LikelihoodEvaluation, covariance: Array) ->
     slopes = partial(_slopes, evaluation, bins, covariance[few:first, few:first])
     # where noise is hardly anything its relative error has no bound
     relative = np.sqrt(sum(np.sum(np.abs(E) ** 2, axis=(1, 2)) for E in slopes()))
-    known = np.minimum(1.0, 1.0 / relative)[:, None, None]
-    for E in (known * slope for slope in slopes()):
+    known = 1.0 / np.maximum(1.0, relative)[:, None, None]
+    for slope in slopes():
+        E = known * slope
         through = E @ X
         P = flat.T @ np.concatenate([through.real, through.imag]).reshape(flat.shape)
         every = every + E @ E

@@ -39,7 +39,6 @@ from .response_noise import in_noise_of_the_gain, in_noise_of_the_window, with_f
 _FEW_MODES = 5  # that few points of responses do not show beside a background
 
 _SURELY_GROWING = 40.0  # by which the BIC is smaller with a pole that grows, at least
-_HOPELESS = 0.3  # logarithm of the ratio of variances of each output, beyond which no other poles that decay do as well
 _SHORTEST_SPAN = 32  # samples of one level of noise that are searched
 
 
@@ -108,7 +107,8 @@ def _must_grow(fit: FreeFit, channels: Experiments, given: Assumptions) -> bool:
         return False
     path = Search(given, fit.projection.p, fit.order, False).path(channels, fit.lateness, fit.offset, fit.intersample)
     model = path.in_its_noise(path.reweighted(path.model(fit.projection.p)))
-    return path.cost(model) > fit.criteria.bic + _HOPELESS * fit.criteria.samples
+    limit = fit.criteria.by_name(path.options.criterion) + TUNING.hopeless * fit.criteria.samples
+    return path.cost(model) > limit
 
 
 def free_refinement(channels: Experiments, like: FreeFit, p: ComplexArray, **assumptions: Any) -> FreeFit:
@@ -180,8 +180,7 @@ def _searched(channels: Experiments, order: int | str, assumptions: Assumptions,
     open_delay = assumptions.delay is None and may_be_late(forced)
     if forced.beside is not None and forced.beside.is_coloured:
         return _late_or_not(forced, fit, slow, in_noise, open_delay, search)
-    fit = fit.with_delay_open(open_delay)
-    in_white_noise = _beside_all_else(fit, search)
+    in_white_noise = _beside_all_else(fit.with_delay_open(open_delay), search)
     if forced.beside is not None:
         return _in_likelier_rows(forced, in_white_noise, in_noise, search)
     if _grows(in_white_noise) and not (search.automatic or fit.noise):

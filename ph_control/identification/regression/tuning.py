@@ -23,6 +23,7 @@ class Tuning:
     )
     broad_noise: float = 8.0  # bins: half-width of a peak of it, at least; what is narrower is a mode
     ringing_noise: float = 3.0  # the same of an autoregression, which is cheaper than a mode that inputs drive
+    hopeless: float = 0.3  # logarithm of the ratio of variances of each output, that other poles hardly make up for
     wandering: float = 20.0  # by which the BIC is smaller, at least, of slow poles in place of noise that wanders
     tails: float = 10.0  # degrees of freedom of the t distribution that a law of noise is fitted with
     fewest_points: int = 20  # to spare: with fewer no law of noise is estimated
