@@ -5,7 +5,8 @@
     python -m benchmarks.process predict [--seeds N] [--name NAME ...] [--no-peers]
 
 `control` fits plants with real poles, alone and beside modes, to 2000 samples with white noise of 3 %, by the default
-call, and counts right orders, squared errors of the poles over their variances, and how often 95 % intervals cover.
+call, in open loops and behind controllers that see the noise, and counts right orders, squared errors of the poles over
+their variances, and how often 95 % intervals cover.
 `foretell` fits the first half of records of process plants, whose noise is coloured and as large as they are, by the
 default call, and foretells the second half; beside it stand the plant itself, with the mean of the noise in the first
 half, and the best of some subspace methods at the order that is best there.
@@ -97,12 +98,21 @@ CONTROL = {
     "motor, 15 samples late": Plant.of((-2.0, 2.2), (-20.0, -2.2), late=15),
     "lag and mode, 30 samples late": Plant.of((-1.0, 1.0), (-0.15 + 12j, 0.5 - 0.2j), late=30),
 }  # fmt: skip
+LOOPS = {  # with a sensor whose noise is a fiftieth of the reference
+    "lag": Plant.of((-10.0, 10.0)),
+    "two lags": Plant.of((-5.0, 10.0), (-20.0, -10.0)),
+    "lag, 4 samples late": Plant.of((-5.0, 5.0), late=4),
+    "integrator and lag, 2 samples late": Plant.of((0.0, 3.0), (-15.0, -3.0), late=2),
+}
+CONTROL |= {f"{name}, {by}": plant for by in ("steps of a PI loop", "relay") for name, plant in LOOPS.items()}
 QUANTITIES = {"overdamped mass": "displacement"}  # of outputs that are no velocities
 
 
 def controlled(name: str, seed: int) -> tuple[Array, Array]:
     """Inputs (m, T) and outputs (p, T) of a plant of control with white noise of 3 %."""
     plant, rng = CONTROL[name], np.random.default_rng([seed, list(CONTROL).index(name)])
+    if name.endswith(("loop", "relay")):
+        return looped(plant, rng, name.endswith("relay"))
     m = plant.residues.shape[2]
     levels = np.repeat(rng.choice([-1.0, 1.0], (m, SAMPLES // 10)), 10, axis=1)
     u = levels + 0.3 * rng.standard_normal((m, SAMPLES))
@@ -120,6 +130,22 @@ def controlled(name: str, seed: int) -> tuple[Array, Array]:
         rows[:, k] = force, measured
         state = lam * state + drive * force
     return rows[:1], rows[1:]
+
+
+def looped(plant: Plant, rng: np.random.Generator, relay: bool) -> tuple[Array, Array]:
+    """Input and output of real poles with a relay, or a digital PI controller whose reference steps now and then."""
+    p, residues = plant.poles.real, plant.residues[:, 0, 0].real
+    drive = np.where(p == 0, STEP, np.expm1(p * STEP) / np.where(p == 0, 1.0, p)) * residues
+    references, integral, push = rng.choice([-1.0, -0.5, 0.5, 1.0], SAMPLES // 200), 0.0, 1.0
+    x, u, y = np.zeros(len(p)), np.zeros(SAMPLES + plant.late), np.zeros(SAMPLES)
+    for k in range(SAMPLES):
+        y[k] = x.sum() + 0.02 * rng.standard_normal()
+        error = references[k // 200] - y[k]
+        integral += STEP * error * (0.5 if 0 in p else 6.0)
+        push = push if abs(y[k]) < 0.1 else -np.sign(y[k])
+        u[k + plant.late] = push if relay else 0.8 * error + integral
+        x = np.exp(p * STEP) * x + drive * u[k]
+    return u[None, plant.late :], y[None]
 
 
 def squeezed(u: Array, y: Array) -> tuple[Array, Array]:

@@ -109,8 +109,10 @@ def _of_modes_and_inputs(
 
     def with_delay(late: Lateness) -> FreeFit:
         # that outputs come late is no sign of forces where there was none of these before
-        noise = {} if latest.free.beside is not None or options.noise in KINDS else {"beside": alone}
-        return search(order, start=start, moving=moving, delay=late.outputs, input_delay=late.inputs, **noise)
+        more: dict[str, Any] = {} if latest.free.beside is not None or options.noise in KINDS else {"beside": alone}
+        if not latest.free.direct:
+            more |= {"direct": False, "intersample": latest.free.intersample}
+        return search(order, start=start, moving=moving, delay=late.outputs, input_delay=late.inputs, **more)
 
     free = latest.free
     if options.delay is None and request.function is None and request.structure != "passive":

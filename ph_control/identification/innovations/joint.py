@@ -27,6 +27,7 @@ from .minimum import LikelihoodEvaluation, Minimum
 
 _UNTOLD = 0.01  # of what the data tell of the plant, at most, in bins that are left out
 _DIRECTIONS = 96  # of the noise; of more, so many random combinations stand for all
+_LARGEST_ERROR = 3.0  # of noise in a bin over itself, of which errors count the square
 _RULE = 1e-10  # of the largest eigenvalue of a covariance
 
 
@@ -195,9 +196,9 @@ def with_estimated_noise(evaluation: LikelihoodEvaluation, covariance: Array) ->
     every: ComplexArray = np.zeros(spread.shape, complex)
     downwards: ComplexArray = np.zeros(spread.shape, complex)
     slopes = partial(_slopes, evaluation, bins, covariance[few:first, few:first])
-    # where noise is hardly anything its relative error has no bound
+    # where noise is hardly anything its relative error has no bound, and the second order tells nothing
     relative = np.sqrt(sum(np.sum(np.abs(E) ** 2, axis=(1, 2)) for E in slopes()))
-    known = 1.0 / np.maximum(1.0, relative)[:, None, None]
+    known = _LARGEST_ERROR / np.maximum(_LARGEST_ERROR, relative)[:, None, None]
     for slope in slopes():
         E = known * slope
         through = E @ X

@@ -75,6 +75,8 @@ class Assumptions:
         Whether the noise of each output is taken as white.
     growing : bool
         Whether poles may grow.
+    direct : bool
+        Whether inputs may be fed through.
     """
 
     quantities: Sequence[str] | None = None
@@ -93,6 +95,7 @@ class Assumptions:
     beside: Callable[..., FreeFit] = alone
     white: bool = False
     growing: bool = True
+    direct: bool = True
 
     @property
     def drifting(self) -> bool:
@@ -154,7 +157,9 @@ class Search:
         terms = int(bool(given.offset)) if terms is None else terms
         return FreePath.of(
             channels,
-            RowOptions(given.quantities, hold or given.intersample, terms, given.moving, given.method, late),
+            RowOptions(
+                given.quantities, hold or given.intersample, terms, given.moving, given.method, late, given.direct
+            ),
             SearchOptions(
                 given.criterion, given.reports, given.real_poles, given.drifting and terms == 1, given.white,
                 self.largest, given.growing,
@@ -216,4 +221,4 @@ def rows_as_in(
     fit: FreeFit, channels: Sequence[Recording], moving: bool = True, late: Lateness | None = None
 ) -> list[FreeRecord]:
     """Return the rows of recordings with hold, offset and method of a fit, and with some delays or none."""
-    return records_of(channels, RowOptions(None, fit.intersample, fit.offset, moving, fit.method, late))
+    return records_of(channels, RowOptions(None, fit.intersample, fit.offset, moving, fit.method, late, fit.direct))

@@ -194,7 +194,10 @@ class _Trials:
 
         Returns those that were made.
         """
-        delays = [delay for delay in delays if self._key(delay, poles) not in self._made]
+        delays = [
+            delay for delay in delays
+            if self._key(delay, poles) not in self._made and (np.all(delay >= 0) or self._first.direct)
+        ]  # fmt: skip
         if not delays:
             return []
         first, best, gain, made = self._first, self.best, 0.0, list[FreeFit]()
@@ -325,18 +328,18 @@ def _shown_delays(fit: FreeFit) -> list[Array]:
         replace(record, y=record.y / fit.scales[record.outputs, None])
         for record in rows_as_in(fit, some, True, _undelayed(fit))
     ]
-    delayed = _Delayed.of(records, TUNING.delays, count)
+    tried = [delay for delay in TUNING.delays if delay >= 0 or fit.direct]
+    delayed = _Delayed.of(records, tried, count)
     if delayed.rows <= 2 * fit.projection.unknowns or not leaves_traces(FreeProjection(records, p)):
         return []
-    each = dict(zip(TUNING.delays, delayed.losses(p)[0] / delayed.rows, strict=True))
+    each = dict(zip(tried, delayed.losses(p)[0] / delayed.rows, strict=True))
     gains = {delay: -0.5 * fit.projection.rows * float(np.log(loss.sum())) for delay, loss in each.items()}
     # modes too many may stand for most of a delay; one sample more or less is what may be fed through
     likely = {delay for delay, gain in gains.items() if delay > 1 and gain > gains[0] - TUNING.likely}
     likely |= {1} & gains.keys() if likely else set()
     likely = (likely | {max(gains, key=lambda delay: gains[delay])}) - {0}
     common_delays = [np.full(count, step * lag) for lag in sorted(likely, key=lambda delay: -gains[delay])]
-    tried = np.array(list(each))
-    own = tried[np.argmin(np.stack([each[delay] for delay in tried.tolist()]), axis=0)]
+    own = np.array(tried)[np.argmin(np.stack([each[delay] for delay in tried]), axis=0)]
     return [*common_delays, step * own] if np.ptp(own) else common_delays
 
 

@@ -32,6 +32,7 @@ from ..uncertainty.residual_tests import is_white
 from .assumptions import Assumptions, Fit, Search, alone
 from .delays import are_heavy, may_be_late, of_late_lag, of_predicted_delay, on_time, predicted_lateness
 from .drifts import are_slow, beside_drift, with_constants
+from .feedback import without_direct_answers
 from .late_inputs import of_late_inputs, with_dead_times
 from .prevailing_noise import InNoise, beside_forces_and_more, in_prevailing_noise, may_be_white
 from .response_noise import in_noise_of_the_gain, in_noise_of_the_window, with_first_errors, without_lines_in_error
@@ -71,6 +72,14 @@ def free_fit(
         If an entry of the response matrices was measured in none of them.
     """
     given = Assumptions(**assumptions)
+    fit = _decaying_or_growing(channels, order, given, start)
+    return without_direct_answers(fit, given, lambda other: _decaying_or_growing(channels, order, other, start))
+
+
+def _decaying_or_growing(
+    channels: Experiments, order: int | str, given: Assumptions, start: ComplexArray | None
+) -> FreeFit:  # fmt: skip
+    """Fit modes, without poles that grow unless these are far likelier."""
     fit = _fitted(channels, order, given, start)
     # a pole that grows may stand for a part of what is more than white noise, or for noise that wanders
     if start is None and _grows(fit) and not fit.interrupted and (order == "auto" or not fit.leaves_white_noise):
@@ -625,7 +634,13 @@ def _path_as_of(
 ) -> FreePath:  # fmt: skip
     """Begin a search in other channels, with the hold, offset, delays and noise of a fit."""
     form = RowOptions(
-        assumptions.quantities, fit.intersample, fit.offset, assumptions.moving, assumptions.method, fit.lateness
+        assumptions.quantities,
+        fit.intersample,
+        fit.offset,
+        assumptions.moving,
+        assumptions.method,
+        fit.lateness,
+        fit.direct,
     )
     options = SearchOptions(assumptions.criterion, assumptions.reports, assumptions.real_poles, largest=largest)
     return FreePath.of(channels, form, options, best, fit.noise)

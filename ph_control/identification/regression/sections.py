@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, Mask
 from .tuning import TUNING
 
@@ -111,13 +112,15 @@ class Sections:
         n, k = len(self.p), len(self.decay)
         slopes, section = np.zeros((2 * n, len(self.x))), np.arange(k)
         slow, fast = self.places.T
-        half, oscillating = 0.5 / self.root, self.square > 0
+        # of two poles that are the same no derivative is finite
+        root = np.maximum(self.root, EPS * max(float(np.abs(self.p).max(initial=0.0)), EPS))
+        half, oscillating = 0.5 / root, self.square > 0
         real, by_product = np.flatnonzero(~oscillating), k + section
         slopes[n + fast[oscillating], section[oscillating]] = -1.0
-        slopes[fast[oscillating], section[oscillating]] = -(self.decay / self.root)[oscillating]
+        slopes[fast[oscillating], section[oscillating]] = -(self.decay / root)[oscillating]
         slopes[fast[oscillating], by_product[oscillating]] = half[oscillating]
         for places, sign in ((slow[real], -1.0), (fast[real], 1.0)):
-            slopes[n + places, real] = sign * self.p[places].real / self.root[real]
+            slopes[n + places, real] = sign * self.p[places].real / root[real]
             slopes[n + places, k + real] = sign * half[real]
         slopes[n + self.single, 2 * k + np.arange(len(self.rates))] = -1.0
         return slopes

@@ -126,7 +126,7 @@ def _descend(problem: Minimisation[Projection], state: Refinement[Projection], r
     # the last step shortens the way to the minimum also where its gain drowns in the rounding of the loss
     if trial.loss < current.loss or (state.converged and trial.loss <= current.loss * (1 + problem.samples * EPS)):
         state.projection = trial
-        state.damping *= max(1 / 3, 1 - (2 * ratio - 1) ** 3)
+        state.damping *= max(1 / 3, 1 - (2 * min(ratio, 1.0) - 1) ** 3)
         state.growth = 2.0
     else:
         state.damping, state.growth = state.damping * state.growth, 2 * state.growth

@@ -41,6 +41,8 @@ class RowOptions:
         How the modes meet the samples.
     late : Lateness, optional
         Delays of outputs and inputs.
+    direct : bool
+        Whether inputs may be fed through.
     """
 
     quantities: Sequence[str] | None = None
@@ -49,6 +51,7 @@ class RowOptions:
     moving: bool = True
     method: Discretisation = "exact"
     late: Lateness | None = None
+    direct: bool = True
 
 
 def records_of(channels: Sequence[Recording], form: RowOptions) -> list[FreeRecord]:
@@ -59,7 +62,7 @@ def records_of(channels: Sequence[Recording], form: RowOptions) -> list[FreeReco
         acting = np.flatnonzero(recording.u.any(axis=1))
         driven = len(acting) > 0
         options = {"offset": form.offset, "driven": driven, "moving": form.moving or not driven, "among": acting,
-                   "unit": recording.unit, "steady": _steady(recording, acting)}  # fmt: skip
+                   "unit": recording.unit, "steady": _steady(recording, acting), "through": form.direct}  # fmt: skip
         u = recording.u if driven and len(acting) == len(recording.u) else recording.u[acting]
         u = u if driven else np.broadcast_to(0.0, (1, recording.samples))
         records += FreeRecord.by_observation(

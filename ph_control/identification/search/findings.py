@@ -32,6 +32,7 @@ class Cause(Enum):
     HOLD = "hold of the input"
     DELAY = "delay of the input"
     INPUT_DELAY = "dead time of one of several inputs"
+    FEEDBACK = "inputs that answer to the noise of an output at once"
     COLOURED_NOISE = "coloured noise"
     INPUT_NOISE = "noise on the input"
     GAIN_NOISE = "noise that grows with the gain"
@@ -85,7 +86,7 @@ class Finding:
     values : tuple of float
         Of a constant its value in each record; of a drift its change per unit time in each; of a delay the samples by
         which the output lags, or, where the model has it, the time and its standard error; of a dead time of one input
-        that time;
+        that time; of a feedback the correlation of the noise with what is new in an input;
         of coloured noise the coefficients `phi` of `e_k = sum phi_j e_(k-j) + white`; of noise
         on the input its size over that of the input, and the standard deviation of the white noise beside it; of noise
         that grows with the gain its standard deviation over the gain, of each entry row by row; of a hold
@@ -205,6 +206,14 @@ def _of_input_delay(finding: Finding, terms: _Terms) -> str:
     return (
         f"The input {finding.output!r} acts {finding.values[0]:.6g} {terms.time_unit or 'units of time'} later "
         f"({_gain(finding)} by all dead times); that is in predictions, and not in system."
+    )
+
+
+def _of_feedback(finding: Finding, terms: _Terms) -> str:
+    return (
+        f"What is new in an input goes with the noise of {finding.output!r} in the same sample (correlation "
+        f"{finding.values[0]:.2g}), as behind a controller: inputs are taken to be held, and to act from the next "
+        "sample on."
     )
 
 
@@ -465,7 +474,7 @@ def _of_input_noise(finding: Finding, terms: _Terms) -> str:
 
 _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
     Cause.CONSTANT: _of_constant, Cause.DRIFT: _of_drift, Cause.HOLD: _of_hold, Cause.DELAY: _of_delay,
-    Cause.INPUT_DELAY: _of_input_delay,
+    Cause.INPUT_DELAY: _of_input_delay, Cause.FEEDBACK: _of_feedback,
     Cause.POLARITY: _of_polarity, Cause.GAIN_NOISE: _of_gain_noise, Cause.COLOURED_RESIDUALS: _of_coloured_residuals,
     Cause.HUM: _of_hum, Cause.UNEQUAL_NOISE: _of_unequal_noise, Cause.FORCES: _of_forces,
     Cause.CORRELATED_NOISE: _of_correlated_noise, Cause.AMBIENT: _of_ambient,

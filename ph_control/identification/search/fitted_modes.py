@@ -204,6 +204,11 @@ class FreeFit(Frozen):
         return rows.hold.intersample if isinstance(rows, FreeRecord) else "zoh"
 
     @property
+    def direct(self) -> bool:
+        """Whether inputs may be fed through."""
+        return self.per_entry or self.projection.has_feedthrough or not self.projection.inputs
+
+    @property
     def method(self) -> Discretisation:
         """Discretisation by which the modes meet the samples."""
         rows = self.projection.experiments[0]

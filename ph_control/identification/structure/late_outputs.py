@@ -19,6 +19,7 @@ from .delayed import with_delays
 from .input_hold import SAME, under_either_hold, with_finding_of_hold
 
 _SEEN = 2.0  # standard errors by which delays that a structure needs differ from 0
+_EARLY = 1e-3  # of a sample
 _NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it
 
 WithDelay = Callable[[Lateness], FreeFit]  # searches in rows with these delays
@@ -168,6 +169,8 @@ def _delayed(free: FreeFit, best: Choice, hypothesis: str, request: Request, set
     delayed = with_delays(free.projection, layout, hypothesis, free.region, _felt(free, request), settled=settled)
     if delayed is None or delayed.fit.delays is None:
         return None
+    if not free.direct and np.any(delayed.fit.delays.values < -_EARLY * free.channels[0].dt):
+        return None  # what an input will be answers to the noise
     projection, late, delays = delayed.free, Choice(free, delayed.fit, best.tests), delayed.fit.delays
     gain = free.delay_gain + (0.0 if settled else late.gain(best))
     measured = free.measured and FreeProjection(
