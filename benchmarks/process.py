@@ -175,7 +175,7 @@ def judged(name: str, seed: int) -> Judged:
     right = states == int(np.sum(1 + (true.imag > 0)))
     squares: list[float] = []
     late = STEP * CONTROL[name].late
-    if right and late and np.isfinite(result.stderr["delay"][0]):
+    if right and late and 0 < result.stderr["delay"][0] < np.inf:
         squares.append(float(((result.delay[0] - late) / result.stderr["delay"][0]) ** 2))
     if right and name != "critical damping":  # whose poles go together or apart by chance
         same = int(np.sum(poles.imag > 0)) == int(np.sum(true.imag > 0))

@@ -87,3 +87,24 @@ def test_an_input_that_is_linear_between_samples_stays(seed):
     y = ct.forced_response(plant, STEP * np.arange(len(u)), u).outputs
     result = phc.pem((u, y + 0.03 * y.std() * rng.standard_normal(len(u))), dt=STEP)
     assert "FEEDBACK" not in causes(result) and result.order == 2 and result.intersample == "foh"
+
+
+def unstable(seed, samples=1000):
+    """A pole at 0.3 behind a controller, over 100 units of time."""
+    rng = np.random.default_rng([seed, 41])
+    x, u, y = 0.0, np.zeros(samples), np.zeros(samples)
+    for k in range(samples):
+        y[k] = x + 0.02 * rng.standard_normal()
+        u[k] = -1.5 * y[k] + 0.5 * rng.choice([-1.0, 1.0])
+        x = np.exp(0.3 * STEP) * x + np.expm1(0.3 * STEP) / 0.3 * 0.8 * u[k]
+    return u, y
+
+
+def test_a_plant_that_grows_by_too_much_is_named_and_its_parts_show_it():
+    u, y = unstable(0)
+    whole = phc.pem((u, y), 0, real_poles=1, dt=STEP)
+    assert whole.outcome.name == "DOUBTFUL" and "FASTEST_GROWTH" in causes(whole)
+    assert "cut recordings into parts" in str(whole)
+    parts = phc.pem([(u[k : k + 250], y[k : k + 250]) for k in range(0, 1000, 250)], 0, real_poles=1, dt=STEP)
+    (pole,), (error,) = parts.real_poles, parts.stderr["real_poles"]
+    assert abs(pole - 0.3) < 4 * error < 0.03 and "FASTEST_GROWTH" not in causes(parts)

@@ -164,3 +164,22 @@ def test_a_fit_to_hits_that_is_stopped_stops():
 
     result = phc.pem([hit([9, k], noise=0.3) for k in range(2)], initial_state="zero", callback=stop, **KNOWN)
     assert result.outcome.name == "INTERRUPTED" and len(calls) == 1 and "HAMMER_NOISE" in names(result)
+
+
+@pytest.mark.slow
+def test_errors_of_the_force_within_a_contact_are_no_mode():
+    """A hit that differs from what was recorded leaves what one mode more explains, until the force is corrected."""
+    rng, t = np.random.default_rng([11, 83]), np.arange(2048.0)
+    frequencies, damping = np.sort(np.exp(rng.uniform(np.log(0.1), np.log(1.2), 2))), rng.uniform(0.004, 0.02, 2)
+    frequencies[1] = max(frequencies[1], 1.2 * frequencies[0])
+    poles = frequencies * (-damping + 1j * np.sqrt(1 - damping**2))
+    shapes = rng.standard_normal((2, 1))
+    plant = phc.modes(poles, shapes, shapes * (poles / (2j * poles.imag))[:, None]).state_space()
+    force, width, first = np.zeros(len(t)), int(rng.integers(6, 12)), int(rng.integers(20, 100))
+    force[first : first + width] = rng.uniform(0.5, 1.5) * np.sin(np.pi * np.arange(1, width + 1) / (width + 1)) ** 2
+    y = np.atleast_2d(ct.forced_response(plant, t, force).outputs)
+    y = y + 0.01 * y.std() * rng.standard_normal(y.shape)
+    hit = force + 1e-3 * rng.standard_normal(len(t))
+    result = phc.pem((hit, y), dt=1.0, intersample="foh", initial_state="zero", ports=[(0, 0)])
+    assert "CONTACT_NOISE" in names(result) and (result.order, len(result.real_poles)) == (2, 0)
+    assert np.all(np.abs(result.natural_frequencies - frequencies) < 4 * result.stderr["natural_frequencies"])

@@ -31,10 +31,11 @@ Fit = Callable[..., Any]
 _MOST = 30_000_000  # numbers in the responses to all samples of the contacts of a record
 _ROUNDS = 4  # of corrections and fits
 _NEAR = 0.1  # standard errors that a correction may still move the estimates by
+_TOLD = 2.0  # standard errors: smaller residues may be none
 _WORTH_SAYING = 1.1  # times that standard errors of residues grow
 
 
-def beside_hammer_noise(channels: Channels, request: Request, fit: Fit) -> Any:
+def beside_hammer_noise(channels: Channels, request: Request, fit: Fit, *, is_open: bool) -> Any:
     """The fit with a hammer's force 0 outside its contacts and in error within, where that explains the outputs better.
 
     Forces are corrected by their likeliest errors, and standard errors are those beside them.  The errors are those
@@ -48,6 +49,8 @@ def beside_hammer_noise(channels: Channels, request: Request, fit: Fit) -> Any:
         What is assumed.
     fit : callable
         Fits recordings, of a `structure`: from some poles and of a given order in `plain` noise, or anew.
+    is_open : bool
+        Whether the number of modes is left to the data.
     """
     hits = Hits.of(channels)
     if hits is None:
@@ -72,7 +75,24 @@ def beside_hammer_noise(channels: Channels, request: Request, fit: Fit) -> Any:
         known.append(Finding(Cause.CONTACT_NOISE, sizes, max(noise.loglik - begun.loglik, 0.0)))
     result = fit(hits.corrected(noise.errors), findings=tuple(known))
     noise = ForceNoise.of(result, hits, noise.errors).settled(fit, findings=tuple(known))
+    if is_open:
+        noise = _without_needless_modes(noise, fit, tuple(known))
     return noise.result if noise.is_over else _widened(noise, request)
+
+
+def _without_needless_modes(noise: ForceNoise, fit: Fit, findings: tuple[Finding, ...]) -> ForceNoise:
+    """Leave out modes with residues of the size of their errors beside those of forces, where the BIC prefers it."""
+    while not noise.is_over and noise.result.order > 1:
+        weakest = noise.least_mode
+        if weakest is None:
+            break
+        records, p = noise.hits.corrected(noise.errors), np.delete(noise.result.poles, weakest)
+        fewer = fit(records, p, order=noise.result.order - 1, findings=findings)
+        settled = ForceNoise.of(fewer, noise.hits, noise.errors).settled(fit, findings=findings)
+        if settled.is_over or settled.bic >= noise.bic:
+            break
+        noise = settled
+    return noise
 
 
 def _in_plain_noise(
@@ -205,6 +225,23 @@ class ForceNoise:
         residues = self.known[self.known >= 2 * len(self.result.poles)]
         ratios = np.diag(self.widened)[residues] / np.diag(self.result.covariance)[residues]
         return float(np.sqrt(ratios.max(initial=1.0)))
+
+    @property
+    def least_mode(self) -> int | None:
+        """Place of the mode with the smallest residues beside their errors, none twice as large; None without."""
+        modes = np.flatnonzero(self.result.poles.imag)
+        if not len(modes):
+            return None
+        blocks = blocks_of_modes(self.widened, self.result.residues, len(modes))
+        variances = np.array([np.diagonal(block)[2:].reshape(2, -1).sum(axis=0) for block in blocks])
+        sizes = np.abs(self.result.residues[modes].reshape(len(modes), -1))
+        ratios = (sizes / np.sqrt(np.where(variances > 0, variances, np.inf))).max(axis=1)
+        return int(modes[np.argmin(ratios)]) if ratios.min() < _TOLD else None
+
+    @property
+    def bic(self) -> float:
+        """BIC of the fit beside errors of the forces."""
+        return float(self.result.bic - 2 * (self.loglik - self.result.loglik))
 
     @property
     def loglik(self) -> float:

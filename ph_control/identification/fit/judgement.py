@@ -120,7 +120,7 @@ class Evidence:
             return Outcome.DOUBTFUL if self.is_close or self.whiteness >= WHITE else Outcome.NOT_DESCRIBED
         if self.whiteness < WHITE:
             return Outcome.COLOURED if self.is_close else Outcome.DOUBTFUL
-        if self.blind or self.shows(Cause.OUTLIERS) or self.shows(Cause.SWAPPED):
+        if self.blind or any(map(self.shows, (Cause.OUTLIERS, Cause.SWAPPED, Cause.FASTEST_GROWTH))):
             return Outcome.DOUBTFUL
         enough = estimates.likelihood.spare >= _FEW or estimates.free.rounding
         if not enough:

@@ -45,6 +45,7 @@ from .outputs_alone import are_alone, of_outputs_alone
 from .pem_result import PEMResult
 from .result import OrderRow, cut_short
 
+_NEARLY = 0.98  # of the fastest growth
 _CLEAR = 0.2  # gain in the BIC for each sample: residuals that are smaller by a tenth
 
 
@@ -117,7 +118,9 @@ def _of_modes_and_inputs(
     free = latest.free
     if options.delay is None and request.function is None and request.structure != "passive":
         free = with_shown_delay(free, request.quantities, with_delay)
-    free = replace(free, findings=(*latest.findings, *free.findings, *_about_order(free, order, options)))
+    free = replace(
+        free, findings=(*latest.findings, *free.findings, *_about_order(free, order, options), *_about_growth(free))
+    )
     result = _structured(free, request, findings, with_delay)
     while options.reachable and result.success and 0 < np.sum(result.kappa > 0) < result.order:
         free = free if free.rival is None or free.intersample == result.intersample else free.rival
@@ -279,6 +282,15 @@ def _about_order(free: FreeFit, order: int | str, options: Options) -> list[Find
     pairs = free.order + int(np.sum(free.projection.p.imag == 0)) // 2
     fewer = pairs < order and (free.rounding or free.crowded)
     return [Finding(Cause.FEWER_MODES, (float(order), float(pairs)), 0.0)] * fewer
+
+
+def _about_growth(free: FreeFit) -> list[Finding]:
+    """Say where poles grow as much over a recording as they may."""
+    growth = free.projection.p.real / free.region.bin
+    if free.per_entry or not np.any(growth > _NEARLY * free.region.growth):
+        return []
+    factor = float(np.exp(2 * np.pi * free.region.growth))
+    return [Finding(Cause.FASTEST_GROWTH, (float(np.max(free.projection.p.real)), factor), 0.0)]
 
 
 def _of_modes(free: FreeFit, p: ComplexArray) -> FreeFit:

@@ -287,7 +287,7 @@ def pem(
 
     with heard_by(callback) as heartbeat:
         options = replace(options, callback=heartbeat)
-        result = beside_hammer_noise(channels, request, fit)
+        result = beside_hammer_noise(channels, request, fit, is_open=isinstance(options.order, str))
         for hold in others:
             if result.outcome is Outcome.INTERRUPTED or _is_explained(result, structure):
                 break

@@ -64,6 +64,7 @@ class Cause(Enum):
     CONTACT_NOISE = "noise of a hammer's force within its contacts"
     LARGEST_ORDER = "as many modes as the search may find"
     FEWER_MODES = "fewer modes than the order that was given"
+    FASTEST_GROWTH = "poles that grow as much over a recording as they may"
     INTEGRATOR = "poles that the data do not tell from 0"
     WRONG_MODEL = "responses that no parameters of the model function give"
     PARAMETER_BOUND = "a parameter that ends at a bound"
@@ -86,29 +87,28 @@ class Finding:
     values : tuple of float
         Of a constant its value in each record; of a drift its change per unit time in each; of a delay the samples by
         which the output lags, or, where the model has it, the time and its standard error; of a dead time of one input
-        that time; of a feedback the correlation of the noise with what is new in an input;
-        of coloured noise the coefficients `phi` of `e_k = sum phi_j e_(k-j) + white`; of noise
-        on the input its size over that of the input, and the standard deviation of the white noise beside it; of noise
-        that grows with the gain its standard deviation over the gain, of each entry row by row; of a hold
-        0 for an input that was held, 1 for a linear one; of a hypothesis that is rejected its p-value and degrees of
-        freedom; of a real pole its rate, and the share that it explains of what the modes leave; of coloured residuals
-        the ends of the band about the peak of their spectrum, rad per unit time, the density there over its geometric
-        mean, and the share of their power; of outliers their places, counted from 0; of an output that
-        stays at an end of its range how many samples do, and that end or both; of one that is rounded the step, and how
-        many values it takes; of the noise of a hammer's force its
-        standard deviation, and the peak of the force; within contacts also how many times the standard errors of
-        residues grow by it; of noise or forces that change the first sample of each span,
-        counted from 0, and the noise there over its geometric mean, one after the other; of slow noise the rates of its
-        real poles; of an output that stays at one value the first of these samples, how many they are, and that value;
-        of a mode that changes its natural frequency in the first halves and in the second, and its damping ratios
-        there; of a multiple its frequency, and
-        those that it is the sum of; of wild lines their frequencies, rad per unit time; of the largest order that
-        order; of fewer modes the order that was given, and how many reproduce the data; of poles that may be 0 how many
-        they are, and the p-value of 0; of forces that were not
-        measured the root mean square of what inputs do not explain over that of each output; of noise that outputs
-        share the largest correlation; of a parameter at a bound its value; of a combination of parameters the relative
-        changes of all that leave no trace together; of columns that are the same the factor between them; of swapped
-        columns the flatness of the spectrum of the input and of the output, 1 for white noise.
+        that time; of a feedback the correlation of the noise with what is new in an input; of coloured noise the
+        coefficients `phi` of `e_k = sum phi_j e_(k-j) + white`; of noise on the input its size over that of the input,
+        and the standard deviation of the white noise beside it; of noise that grows with the gain its standard
+        deviation over the gain, of each entry row by row; of a hold 0 for an input that was held, 1 for a linear one;
+        of a hypothesis that is rejected its p-value and degrees of freedom; of a real pole its rate, and the share
+        that it explains of what the modes leave; of coloured residuals the ends of the band about the peak of their
+        spectrum, rad per unit time, the density there over its geometric mean, and the share of their power; of
+        outliers their places, counted from 0; of an output that stays at an end of its range how many samples do, and
+        that end or both; of one that is rounded the step, and how many values it takes; of the noise of a hammer's
+        force its standard deviation, and the peak of the force; within contacts also how many times the standard
+        errors of residues grow by it; of noise or forces that change the first sample of each span, counted from 0,
+        and the noise there over its geometric mean, one after the other; of slow noise the rates of its real poles; of
+        an output that stays at one value the first of these samples, how many they are, and that value; of a mode that
+        changes its natural frequency in the first halves and in the second, and its damping ratios there; of a
+        multiple its frequency, and those that it is the sum of; of wild lines their frequencies, rad per unit time; of
+        the largest order that order; of fewer modes the order that was given, and how many reproduce the data; of
+        poles that grow as they may the fastest rate, and the factor over the longest recording; of poles that may be 0
+        how many they are, and the p-value of 0; of forces that were not measured the root mean square of what inputs
+        do not explain over that of each output; of noise that outputs share the largest correlation; of a parameter at
+        a bound its value; of a combination of parameters the relative changes of all that leave no trace together; of
+        columns that are the same the factor between them; of swapped columns the flatness of the spectrum of the input
+        and of the output, 1 for white noise.
     gain : float
         How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers and ends of the range, and
         of what is not taken into account.
@@ -206,6 +206,14 @@ def _of_input_delay(finding: Finding, terms: _Terms) -> str:
     return (
         f"The input {finding.output!r} acts {finding.values[0]:.6g} {terms.time_unit or 'units of time'} later "
         f"({_gain(finding)} by all dead times); that is in predictions, and not in system."
+    )
+
+
+def _of_fastest_growth(finding: Finding, terms: _Terms) -> str:
+    return (
+        f"A pole grows as fast as it may, by a factor of {finding.values[1]:.1g} over the recording: it stands for "
+        "noise, or for a plant that is unstable and grows by more. Of such a plant cut recordings into parts in which "
+        "it grows by 1e5 at most, and pass these as a list."
     )
 
 
@@ -485,6 +493,7 @@ _SENTENCES: dict[Cause, Callable[[Finding, _Terms], str]] = {
     Cause.SATURATION: _of_saturation, Cause.ROUNDED: _of_rounded, Cause.WILD_LINES: _of_wild_lines,
     Cause.LARGEST_ORDER: _of_largest_order, Cause.FEWER_MODES: _of_fewer_modes, Cause.OUTLIERS: _of_outliers,
     Cause.INPUT_NOISE: _of_input_noise, Cause.PARAMETER_BOUND: _of_parameter_bound, Cause.INTEGRATOR: _of_integrator,
+    Cause.FASTEST_GROWTH: _of_fastest_growth,
     Cause.UNIDENTIFIED: _of_unidentified, **dict.fromkeys(REJECTED.values(), _of_rejection),
     Cause.COMPLEX_SHAPES: _of_complex_shapes, Cause.SAME_COLUMNS: _of_same_columns, Cause.SWAPPED: _of_swapped,
 }  # fmt: skip
