@@ -287,9 +287,10 @@ def _about_order(free: FreeFit, order: int | str, options: Options) -> list[Find
 def _about_growth(free: FreeFit) -> list[Finding]:
     """Say where poles grow as much over a recording as they may."""
     growth = free.projection.p.real / free.region.bin
-    if free.per_entry or not np.any(growth > _NEARLY * free.region.growth):
+    # an integrator may come to where poles that should not grow may
+    if free.per_entry or not np.any(growth > _NEARLY * TUNING.fastest_growth):
         return []
-    factor = float(np.exp(2 * np.pi * free.region.growth))
+    factor = float(np.exp(2 * np.pi * TUNING.fastest_growth))
     return [Finding(Cause.FASTEST_GROWTH, (float(np.max(free.projection.p.real)), factor), 0.0)]
 
 

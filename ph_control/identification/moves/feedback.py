@@ -30,7 +30,9 @@ _ALL = 0.99  # of the squares of errors that go with what is new, at most
 _SAMPLE = 0.999  # of a sample: outputs that come later do not answer an input at once
 
 
-def without_direct_answers(fit: FreeFit, given: Assumptions, again: Callable[[Assumptions], FreeFit]) -> FreeFit:
+def without_direct_answers(
+    fit: FreeFit, given: Assumptions, again: Callable[[Assumptions], FreeFit], refined: Callable[[Assumptions], FreeFit]
+) -> FreeFit:
     """Return the fit, or one in which no output answers an input at once, where inputs answer to its noise.
 
     Parameters
@@ -39,8 +41,8 @@ def without_direct_answers(fit: FreeFit, given: Assumptions, again: Callable[[As
         What was fitted to recordings.
     given : Assumptions
         Under which it was.
-    again : callable
-        Fits the same data under others.
+    again, refined : callable
+        Fit the same data under others, anew and from the same poles.
     """
     if not given.direct or fit.interrupted or fit.rounding or not _answers_at_once(fit, given):
         return fit
@@ -49,6 +51,9 @@ def without_direct_answers(fit: FreeFit, given: Assumptions, again: Callable[[As
     if shown[np.inf].are_new:
         return fit
     held = "zoh" if given.intersample == "auto" else given.intersample
+    causal = refined(replace(given, direct=False, intersample=held))
+    if not causal.interrupted and not _may_be_likelier(causal, fit):
+        return fit
     causal = again(replace(given, direct=False, intersample=held))
     if causal.interrupted:
         return replace(fit, interrupted=True)
@@ -60,6 +65,12 @@ def without_direct_answers(fit: FreeFit, given: Assumptions, again: Callable[[As
             finding = Finding(Cause.FEEDBACK, (correlation,), others.gain, fit.channels[0].output_labels[output])
             return replace(causal, findings=(*causal.findings, finding))
     return fit
+
+
+def _may_be_likelier(causal: FreeFit, fit: FreeFit) -> bool:
+    """Whether a fit with the same poles is not far less likely, beside what is new in the inputs: others make up."""
+    gain = causal.gain_over(fit) + 2 * max(_Answers.of(causal, usual).gain for usual in (_USUAL, np.inf))
+    return gain > -TUNING.hopeless * fit.criteria.samples
 
 
 def _answers_at_once(fit: FreeFit, given: Assumptions) -> bool:

@@ -73,7 +73,10 @@ def free_fit(
     """
     given = Assumptions(**assumptions)
     fit = _decaying_or_growing(channels, order, given, start)
-    return without_direct_answers(fit, given, lambda other: _decaying_or_growing(channels, order, other, start))
+    return without_direct_answers(
+        fit, given, lambda other: _decaying_or_growing(channels, order, other, start),
+        lambda other: free_refinement(channels, fit, fit.projection.p, **vars(other)),
+    )  # fmt: skip
 
 
 def _decaying_or_growing(
