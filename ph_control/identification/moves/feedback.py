@@ -1,13 +1,13 @@
 """Inputs that answer to the noise of outputs in the same sample, as those of a digital controller do.
 
 What such an output seems to be fed, or an input that seems to be linear between its samples, is its own noise, which
-its controller has seen.  It goes with what is new in the input, `w_k`, which the past does not foretell: that part of
-an input is the plant's own in an open loop, and foretells no more than all of it does.
+its controller has seen.  It goes with what is new in the input, `w_k`, which the past does not foretell: in an
+open loop a plant answers to that part of an input as to all of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -25,7 +25,7 @@ from .assumptions import Assumptions
 
 _PAST = 10  # samples of inputs and outputs that foretell an input
 _NEW = 0.9  # of an input: from there it is all new, and a plant that is fed through is not told from a feedback
-_USUAL = 4.5  # times the median of absolute values: three standard deviations of what is normal
+_SIZES = 4.5, np.inf  # of what is new over its median: three standard deviations of what is normal, and any
 _ALL = 0.99  # of the squares of errors that go with what is new, at most
 _SAMPLE = 0.999  # of a sample: outputs that come later do not answer an input at once
 
@@ -46,31 +46,40 @@ def without_direct_answers(
     """
     if not given.direct or fit.interrupted or fit.rounding or not _answers_at_once(fit, given):
         return fit
-    # a reference that seldom jumps hides how an input answers between its jumps, and is all that a relay shows
-    shown = {usual: _Answers.of(fit, usual) for usual in (_USUAL, np.inf)}
-    if shown[np.inf].are_new:
+    new = [_new_in_inputs(recording) for recording in fit.channels]
+    if _are_all_new(new, fit):
         return fit
-    held = "zoh" if given.intersample == "auto" else given.intersample
-    causal = refined(replace(given, direct=False, intersample=held))
-    if not causal.interrupted and not _may_be_likelier(causal, fit):
+    given = replace(given, direct=False, intersample="zoh" if given.intersample == "auto" else given.intersample)
+    near = refined(given)
+    if not near.interrupted and not _may_be_likelier(near, fit, new):
         return fit
-    causal = again(replace(given, direct=False, intersample=held))
+    causal = again(given)
     if causal.interrupted:
         return replace(fit, interrupted=True)
-    for usual, answers in shown.items():
-        others = _Answers.of(causal, usual)
-        likelier = causal.gain_over(fit) + 2 * others.gain > max(2 * answers.gain, answers.charge)
-        if likelier or answers.tell_more_than(fit):
-            output, correlation = others.strongest
-            finding = Finding(Cause.FEEDBACK, (correlation,), others.gain, fit.channels[0].output_labels[output])
+    # a reference that seldom jumps hides how an input answers between its jumps, and is all that a relay shows
+    for size in _SIZES:
+        direct, answers = (_Answers.of(each, new, size) for each in (fit, causal))
+        if causal.gain_over(fit) + 2 * answers.gain > max(2 * direct.gain, direct.charge):
+            output, correlation = answers.strongest
+            finding = Finding(Cause.FEEDBACK, (correlation,), answers.gain, fit.channels[0].output_labels[output])
             return replace(causal, findings=(*causal.findings, finding))
     return fit
 
 
-def _may_be_likelier(causal: FreeFit, fit: FreeFit) -> bool:
+def _may_be_likelier(near: FreeFit, fit: FreeFit, new: Sequence[Array]) -> bool:
     """Whether a fit with the same poles is not far less likely, beside what is new in the inputs: others make up."""
-    gain = causal.gain_over(fit) + 2 * max(_Answers.of(causal, usual).gain for usual in (_USUAL, np.inf))
+    gain = near.gain_over(fit) + 2 * max(_Answers.of(near, new, size).gain for size in _SIZES)
     return gain > -TUNING.hopeless * fit.criteria.samples
+
+
+def _are_all_new(new: Sequence[Array], fit: FreeFit) -> bool:
+    """Whether nearly all of the inputs of recordings is new; short ones tell nothing."""
+    every, unforeseen = 0.0, 0.0
+    for recording, w in zip(fit.channels, new, strict=True):
+        u = recording.u[:, _PAST : _PAST + w.shape[1]]
+        every = every + np.sum((u - u.mean(axis=1, keepdims=True)) ** 2, axis=1) if w.size else every
+        unforeseen = unforeseen + np.sum(w**2, axis=1)
+    return bool(np.all(unforeseen >= _NEW * every))
 
 
 def _answers_at_once(fit: FreeFit, given: Assumptions) -> bool:
@@ -95,34 +104,26 @@ class _Answers:
         Sums of products with what is new in the inputs, of the size that is usual.
     covariance : ndarray, shape (m, m)
         Sums of products of the latter.
-    are_new : bool
-        Whether nearly all of the inputs is new.
     """
 
     squares: Array
     counts: Array
     products: Array
     covariance: Array
-    are_new: bool
 
     @classmethod
-    def of(cls, fit: FreeFit, usual: float) -> _Answers:
-        """Those of a fit to recordings, of what is `usual` times its median at most; short ones tell nothing."""
+    def of(cls, fit: FreeFit, new: Sequence[Array], size: float) -> _Answers:
+        """Those of a fit to recordings with what is `new` in each, up to a size over its median."""
         p, m = (len(labels) for labels in (fit.channels[0].output_labels, fit.channels[0].input_labels))
         squares, counts, products, covariance = np.zeros(p), np.zeros(p), np.zeros((p, m)), np.zeros((m, m))
-        every, new = np.zeros(m), np.zeros(m)
-        for recording, errors in zip(fit.channels, _errors(fit), strict=True):
-            w = _new_in_inputs(recording)
-            part = np.s_[:, _PAST : _PAST + w.shape[1]]
-            u = recording.u[part]
-            if not u.shape[1]:
+        for errors, w in zip(_errors(fit), new, strict=True):
+            if not w.size:
                 continue
-            most = usual * np.maximum(np.median(np.abs(w), axis=1, keepdims=True), np.finfo(float).tiny)
-            W, e = np.clip(w, -most, most), np.where(np.isnan(errors[part]), 0.0, errors[part])
+            e, most = np.nan_to_num(errors[:, _PAST : _PAST + w.shape[1]]), size * np.median(np.abs(w), axis=1)
+            w = np.clip(w.T, -most, most).T if np.isfinite(size) else w
             squares, counts = squares + np.sum(e**2, axis=1), counts + np.sum(e != 0, axis=1)
-            products, covariance = products + e @ W.T, covariance + W @ W.T
-            every, new = every + u.var(axis=1) * u.shape[1], new + np.sum(w**2, axis=1)
-        return cls(squares, counts, products, covariance, bool(np.all(new >= _NEW * every)))
+            products, covariance = products + e @ w.T, covariance + w @ w.T
+        return cls(squares, counts, products, covariance)
 
     @cached_property
     def responses(self) -> Array:
@@ -147,13 +148,6 @@ class _Answers:
         correlations = self.products / np.where(sizes > 0, sizes, np.inf)
         output, source = np.unravel_index(np.argmax(np.abs(correlations)), correlations.shape)
         return int(output), float(correlations[output, source])
-
-    def tell_more_than(self, fit: FreeFit) -> bool:
-        """Return whether an output follows what is new in an input by more than all of this, which no plant does."""
-        if 2 * self.gain <= self.charge + 2 * TUNING.sure:
-            return False
-        fed = fit.projection.feedthrough
-        return bool(np.any((self.responses * np.sign(fed) > np.abs(fed)) & (fed != 0)))
 
 
 def _errors(fit: FreeFit) -> list[Array]:

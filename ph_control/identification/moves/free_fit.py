@@ -637,14 +637,9 @@ def _path_as_of(
 ) -> FreePath:  # fmt: skip
     """Begin a search in other channels, with the hold, offset, delays and noise of a fit."""
     form = RowOptions(
-        assumptions.quantities,
-        fit.intersample,
-        fit.offset,
-        assumptions.moving,
-        assumptions.method,
-        fit.lateness,
+        assumptions.quantities, fit.intersample, fit.offset, assumptions.moving, assumptions.method, fit.lateness,
         fit.direct,
-    )
+    )  # fmt: skip
     options = SearchOptions(assumptions.criterion, assumptions.reports, assumptions.real_poles, largest=largest)
     return FreePath.of(channels, form, options, best, fit.noise)
 
